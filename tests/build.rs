@@ -1,12 +1,12 @@
-//! Lays sources of the engine out for `tests/shuttle`: the same text, with the locks, atomics and threads of a scheduler that tries orders out.
+//! Prepares sources of the engine for `tests/shuttle`: the same text, with the locks, atomics and threads of a scheduler that explores interleavings.
 //!
-//! Each subject becomes a module with the sources that it needs and its models. A mutation makes another module of the subject, in which one place
-//! of one source is changed; a model of the subject must fail there.
+//! Each subject becomes a module with the sources that it needs and its models. A mutation makes another module of the subject with one change in one
+//! source; a model of the subject must fail there.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// A part of the engine, the sources that it needs in the order of their use, and the file of its models.
+/// A part of the engine, its sources in order of use, and the file of its models.
 struct Subject {
     name: &'static str,
     sources: &'static [&'static str],
@@ -23,7 +23,7 @@ const SUBJECTS: &[Subject] = &[
     Subject { name: "apply", sources: &["sync", "memory", "region", "light", "join", "change_lock"] },
 ];
 
-/// A mistake in one source of a subject.
+/// A deliberate defect in one source of a subject.
 struct Mutation {
     name: &'static str,
     subject: &'static str,
@@ -147,7 +147,7 @@ const MUTATIONS: &[Mutation] = &[
     },
 ];
 
-/// Where a source is in the engine.
+/// Path of a source in the engine.
 fn path_of(source: &str) -> &str {
     match source {
         "memory" => "memory/mod",

@@ -13,7 +13,7 @@ use crate::load;
 
 const MAX_RUN: Duration = Duration::from_secs(120);
 
-/// A run that ended, with everything that happened.
+/// A finished run, with everything that happened.
 pub struct DisturbedRun {
     /// Counters and times.
     pub report: Report,
@@ -39,7 +39,7 @@ impl DisturbedRun {
 /// Runs a graph text as if it were `graph.toml` in `folder`, on two threads; `disturb` is called every few milliseconds until it ends.
 ///
 /// # Panics
-/// When the graph is wrong, does not start or does not end within two minutes.
+/// The graph is invalid, does not start, or does not end within two minutes.
 pub fn run_disturbed(folder: &Path, text: &str, options: Options, mut disturb: impl FnMut(&Engine)) -> DisturbedRun {
     let path = folder.join("graph.toml");
     let (graph, catalog, loader) = load(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));

@@ -1,13 +1,14 @@
-//! What the tests that cross crates share: where things are, and how a graph is run inside a test.
+//! Shared by the tests that involve several crates: where things are, and how a graph is run inside a test.
 
 #![forbid(unsafe_code)]
 
 mod disturbed;
 pub mod machines;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
@@ -44,12 +45,12 @@ pub const DOCUMENTS: [&str; 16] = [
 /// The text of a document.
 ///
 /// # Panics
-/// When it cannot be read.
+/// The document cannot be read.
 pub fn document(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// Whether Python with NumPy is there; says why a test is skipped.
+/// Whether Python with NumPy is installed; reports why a test is skipped.
 pub fn has_python() -> bool {
     match std::process::Command::new("python3").args(["-c", "import numpy"]).output() {
         Ok(output) if output.status.success() => true,
@@ -64,19 +65,19 @@ pub fn has_python() -> bool {
     }
 }
 
-/// Runs the unit tests of a file in `tests/python` with the package of this build. `modules` are those of other packages that they import, which
+/// Runs the unit tests of a file in `tests/python` with the package of this build. `modules`: modules of other packages that they import, which
 /// `cargo xtask test` fetches; without them the test is skipped.
 ///
 /// # Panics
-/// When a test fails.
+/// A test fails.
 pub fn run_python_tests(file: &str, modules: &str) {
     run_python(file, &[], modules);
 }
 
-/// As [`run_python_tests`], of one class of the file, which imports no other package.
+/// As [`run_python_tests`], for one class of the file that imports no other package.
 ///
 /// # Panics
-/// When a test fails, or there is no such class.
+/// A test fails, or there is no such class.
 pub fn run_python_class(file: &str, class: &str) {
     run_python(file, &[class], "");
 }
@@ -113,10 +114,10 @@ fn run_python(file: &str, classes: &[&str], modules: &str) {
     assert!(words.contains("OK") && !words.contains("Ran 0 tests"), "{words}");
 }
 
-/// A fresh folder for the files of one test.
+/// A new folder for the files of one test.
 ///
 /// # Panics
-/// When the folder cannot be made.
+/// The folder cannot be created.
 pub fn scratch(name: &str) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("panoscope-{}-{name}", std::process::id()));
     let _ = std::fs::remove_dir_all(&folder);
@@ -124,7 +125,45 @@ pub fn scratch(name: &str) -> PathBuf {
     folder
 }
 
-/// A run that ended.
+/// The program that PANOSCOPE_BIN names; `None`, with the reason of the skip, if it names none.
+pub fn named_program() -> Option<PathBuf> {
+    let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
+    if program.is_none() {
+        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+    }
+    program
+}
+
+/// Ids of the processes of isolated nodes that this process started. Those that only describe a plugin are left out: they belong to no group and leave
+/// when nobody asks them any more.
+///
+/// # Panics
+/// The system does not list processes.
+pub fn isolated_processes() -> BTreeSet<i32> {
+    let own = std::process::id();
+    let entries = std::fs::read_dir("/proc").expect("the system lists processes").flatten();
+    let is_own = |process: &i32| {
+        let read = |file: &str| std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default();
+        let parent = read("stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
+        let command = read("cmdline");
+        parent == Some(own) && command.contains("isolated-nodes") && !command.contains("\0describes ")
+    };
+    entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).filter(is_own).collect()
+}
+
+/// Waits until a condition holds.
+///
+/// # Panics
+/// It does not hold within two minutes; names `what`.
+pub fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
+    let end = Instant::now() + Duration::from_secs(120);
+    while !done() {
+        assert!(Instant::now() < end, "{what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// A finished run.
 pub struct Run {
     /// Counters and times.
     pub report: Report,
@@ -134,7 +173,7 @@ pub struct Run {
     pub log: Vec<String>,
 }
 
-/// Loads and checks a graph text as if it were the file `path`; `Err` holds the rendered mistakes.
+/// Loads and checks a graph text as if it were the file `path`; `Err` contains the rendered errors.
 pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String> {
     let text = GraphText::parse(path, text);
     let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
@@ -148,7 +187,7 @@ pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String>
 /// Runs a graph text to its end on a number of threads.
 ///
 /// # Panics
-/// When the graph is wrong, does not start or does not end within two minutes.
+/// The graph is invalid, does not start, or does not end within two minutes.
 pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
     let (graph, catalog, loader) = load(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let run = start(path, graph, &catalog, &loader, frames, threads).unwrap_or_else(|error| panic!("{error}"));
@@ -156,10 +195,10 @@ pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
     run.unwrap_or_else(|| unreachable!("asserted above"))
 }
 
-/// Runs a graph file with overlays, arguments and settings to its end. `None` where it needs ONNX Runtime, which is not there: the test is skipped.
+/// Runs a graph file with overlays, arguments and settings to its end. `None` if it needs ONNX Runtime, which is not installed: the test is skipped.
 ///
 /// # Panics
-/// When the graph is wrong, does not start or does not end within two minutes.
+/// The graph is invalid, does not start, or does not end within two minutes.
 pub fn run_file(path: &Path, options: &GraphOptions, frames: u64) -> Option<Run> {
     let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     run_with(path, &text, options, frames)
@@ -204,7 +243,7 @@ fn start(
     };
     let engine = match Engine::start(graph, catalog, loader, options) {
         Ok(engine) => engine,
-        Err(error) if error.to_string().contains("ONNX Runtime's shared library is not there") => {
+        Err(error) if error.to_string().contains("ONNX Runtime's shared library was not found") => {
             panoscope_testing::skipped!("{error}");
             return Ok(None);
         }
@@ -217,7 +256,7 @@ fn start(
     Ok(Some(Run { report, outcome, log }))
 }
 
-/// The phantom's cameras at 640x480, as `panoscope calibrate` would write them.
+/// Calibration of the phantom's cameras at 640x480, as `panoscope calibrate` would write it.
 pub const CALIBRATION: &str = "%YAML:1.0
 ---
 image_width: 640
@@ -257,7 +296,7 @@ T: !!opencv-matrix
 /// All files of a folder with their bytes, by name.
 ///
 /// # Panics
-/// When the folder cannot be read.
+/// The folder cannot be read.
 pub fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
     let mut found: Vec<_> = std::fs::read_dir(folder)
         .expect("the folder of a test")

@@ -1,4 +1,4 @@
-//! Other machines for tests: `panoscope serve` as a process, and a relay that disturbs what lies between.
+//! Other machines for tests: `panoscope serve` as a process, and a relay that disturbs the connection.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -9,28 +9,28 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A `panoscope serve`. It ends when this is dropped.
+/// A running `panoscope serve`; killed when dropped.
 pub struct Machine {
     child: Child,
     /// Lines of its log.
     log: Arc<Mutex<Vec<String>>>,
 }
 
-/// A port of this machine that nobody uses.
+/// An unused port of this machine.
 ///
 /// # Panics
-/// When there is none.
+/// There is none.
 pub fn free_port() -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     listener.local_addr().expect("an address").port()
 }
 
 impl Machine {
-    /// Starts `panoscope serve --name NAME --listen ADDRESS` with more arguments, and waits until it listens. `before` are words in front of the
-    /// program, such as those that enter a network namespace or set variables. `None` where there is no program.
+    /// Starts `panoscope serve --name NAME --listen ADDRESS` with more arguments, and waits until it listens. `before` is put in front of the
+    /// program, for example to enter a network namespace or to set variables. `None` if there is no program.
     ///
     /// # Panics
-    /// When it does not listen within 20 s.
+    /// It does not listen within 20 s.
     pub fn start(before: &[&str], name: &str, address: &str, more: &[&str], graph_dir: &Path) -> Option<Self> {
         let program = program()?;
         let words: Vec<String> = before.iter().map(|word| (*word).to_owned()).collect();
@@ -63,12 +63,12 @@ impl Machine {
         Some(this)
     }
 
-    /// The lines that it has written.
+    /// The lines of its log so far.
     pub fn log(&self) -> Vec<String> {
         self.log.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Ends it as a crash of its machine would.
+    /// Kills it, like a crash of its machine.
     pub fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
@@ -92,8 +92,7 @@ pub fn program() -> Option<PathBuf> {
     given.or_else(beside).filter(|program| program.is_file())
 }
 
-/// A network namespace that is joined to this one by a pair of virtual Ethernet devices: another machine, as far as the network goes. It is removed
-/// when this is dropped.
+/// A network namespace that is connected to this one by a pair of virtual Ethernet devices: another machine, for the network. Removed when dropped.
 pub struct Namespace {
     name: String,
     device: String,
@@ -102,7 +101,7 @@ pub struct Namespace {
 }
 
 impl Namespace {
-    /// Makes one; `number` from 0 to 3 tells it from others of this process. `None` where this user may not.
+    /// Creates a namespace; `number`, 0 to 3, distinguishes it from others of this process. `None` if this user lacks the permission.
     pub fn new(number: u8) -> Option<Self> {
         remove_namespaces_of_ended_processes();
         let process = std::process::id();
@@ -122,12 +121,12 @@ impl Namespace {
         made.then_some(this)
     }
 
-    /// Words in front of a program that run it there.
+    /// Words in front of a program that run it in the namespace.
     pub fn words(&self) -> [&str; 4] {
         ["ip", "netns", "exec", &self.name]
     }
 
-    /// Cuts the cable, or joins it again. The far end of it: while this one is up, nothing for that address takes another way.
+    /// Disconnects or connects the cable, at its far end: while the near end is up, nothing for that address takes another route.
     pub fn set_joined(&self, joined: bool) {
         ip(&["-n", &self.name, "link", "set", "eth0", if joined { "up" } else { "down" }]);
     }
@@ -140,7 +139,7 @@ impl Drop for Namespace {
     }
 }
 
-/// A test that is killed leaves its namespaces behind. Their addresses would answer in place of those of a later test.
+/// Removes namespaces of killed tests. Their addresses would answer in place of those of a later test.
 fn remove_namespaces_of_ended_processes() {
     for entry in std::fs::read_dir("/run/netns").into_iter().flatten().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
@@ -158,38 +157,38 @@ fn ip(words: &[&str]) -> bool {
     command.status().is_ok_and(|status| status.success())
 }
 
-/// What a relay does to the bytes that pass.
+/// How a relay disturbs the bytes that pass.
 #[derive(Debug, Default)]
 pub struct Weather {
-    /// Each piece of data waits for at least this long, us.
+    /// Minimum delay of each piece of data, us.
     pub delay_us: AtomicU64,
-    /// And at most this much longer, us.
+    /// Maximum additional delay, us.
     pub jitter_us: AtomicU64,
-    /// One of so many pieces is lost and sent again, as TCP does it: what follows waits 200 ms; 0 for none.
+    /// One in this many pieces is lost and sent again, as TCP does: the following ones wait 200 ms; 0 for none.
     pub loses_one_of: AtomicU64,
     /// Nothing passes.
     pub is_parted: AtomicBool,
-    /// All connections end at once, as often as this counts up.
+    /// Each increment closes all connections at once.
     pub resets: AtomicU64,
 }
 
 /// Time after which TCP sends a lost packet again.
 const RESEND: Duration = Duration::from_millis(200);
 
-/// Carries connections to an address, and disturbs them.
+/// Forwards connections to an address, and disturbs them.
 pub struct Relay {
     /// Where it listens.
     pub address: SocketAddr,
-    /// What it does; it may change at any time.
+    /// Its disturbances; they may change at any time.
     pub weather: Arc<Weather>,
     ends: Arc<AtomicBool>,
 }
 
 impl Relay {
-    /// Listens at a free port for connections to `target`. `seed` picks its random numbers.
+    /// Listens at an unused port for connections to `target`. `seed` seeds its random numbers.
     ///
     /// # Panics
-    /// When there is no port.
+    /// There is no port.
     pub fn start(target: SocketAddr, seed: u64) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = listener.local_addr().expect("an address");
@@ -233,7 +232,7 @@ pub fn random(state: &mut u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Carries one direction of a connection: one thread reads, one writes when the time has come.
+/// Forwards one direction of a connection: one thread reads, one writes after the delay.
 fn carry(mut from: TcpStream, to: TcpStream, seed: u64, weather: &Arc<Weather>, ends: &Arc<AtomicBool>) {
     let (sender, pieces) = channel::<(Instant, Vec<u8>)>();
     let (mine, over, mut state) = (Arc::clone(weather), Arc::clone(ends), seed);

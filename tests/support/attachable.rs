@@ -12,7 +12,7 @@ pub struct Attachable {
     child: Child,
 }
 
-/// The program `panoscope` beside a program of the same build, or the one that tests name.
+/// The program `panoscope` next to a program of the same build, or the one that tests name.
 fn program(beside: &str) -> Option<PathBuf> {
     let given = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
     given
@@ -20,7 +20,7 @@ fn program(beside: &str) -> Option<PathBuf> {
         .filter(|program| program.is_file() && program.with_file_name("panoscope-machine").is_file())
 }
 
-/// An address of this machine that nobody uses.
+/// An unused address of this machine.
 pub fn free_address() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     format!("tcp/{}", listener.local_addr().expect("an address"))

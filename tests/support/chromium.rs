@@ -1,4 +1,4 @@
-//! Chromium without a screen, driven over its debugging pipe: messages of JSON, each ended by a zero byte. Tests include this file as a module.
+//! Headless Chromium, driven over its debugging pipe: messages in JSON, each terminated by a zero byte. Tests include this file as a module.
 
 #![allow(dead_code, reason = "each test uses a part of it")]
 
@@ -11,15 +11,15 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-/// Longest wait for a reply.
+/// Time limit for a reply.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Whether it is installed.
+/// Whether Chromium is installed.
 pub fn is_there() -> bool {
     Command::new("chromium").arg("--version").output().is_ok_and(|output| output.status.success())
 }
 
-/// Whether this machine has a route to others. Without one Chromium does not connect by WebRTC, not even to this machine.
+/// Whether this machine has a route to other machines. Without one Chromium does not connect by WebRTC, not even to this machine.
 pub fn has_network() -> bool {
     // Connecting a UDP socket looks up the route and sends nothing; the address is for documentation.
     UdpSocket::bind("0.0.0.0:0").and_then(|socket| socket.connect("192.0.2.1:9")).is_ok()
@@ -82,14 +82,14 @@ impl Browser {
         }
     }
 
-    /// Opens a page in a tab of its own.
+    /// Opens a page in a new tab.
     pub fn open(&mut self, url: &str) -> Page {
         let target = self.call("Target.createTarget", &json!({ "url": url }), None);
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         Page(self.call("Target.attachToTarget", &attach, None)["sessionId"].as_str().unwrap().to_owned())
     }
 
-    /// The value of an expression of JavaScript in a page; promises are awaited.
+    /// Value of a JavaScript expression in a page; promises are awaited.
     pub fn evaluate(&mut self, page: &Page, expression: &str) -> Value {
         let params = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let result = self.call("Runtime.evaluate", &params, Some(&page.0));
@@ -97,7 +97,7 @@ impl Browser {
         result["result"]["value"].clone()
     }
 
-    /// Kills it without letting it say goodbye.
+    /// Kills it without a clean shutdown.
     pub fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();

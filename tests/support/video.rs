@@ -1,8 +1,9 @@
-//! The frames of a Matroska video of `write_video`, counted without its own reader: each cluster holds one JPEG.
+//! Counts the frames of a Matroska video of `write_video` without its own reader: each cluster contains one JPEG.
 
 const CLUSTER: [u8; 4] = [0x1F, 0x43, 0xB6, 0x75];
 
-/// Number of whole frames at the beginning of a video, and where they end. An unfinished video has nothing or a part of a frame behind them.
+/// Number of complete frames at the beginning of a video, and the position of their end. An unfinished video has nothing or a part of a frame after
+/// it.
 pub fn whole_frames(bytes: &[u8]) -> (usize, usize) {
     let mut at = bytes.windows(4).position(|four| four == CLUSTER).unwrap_or(bytes.len());
     let mut frames = 0;

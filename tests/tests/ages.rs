@@ -1,4 +1,4 @@
-//! Ages by the host's clock: whatever delays a picture, it looks as old as it is, and the arm does not follow it.
+//! Ages by the host's clock: whatever delays a frame, its reported age is true, and the arm does not follow an old one.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -66,7 +66,7 @@ impl Run {
     }
 }
 
-/// Tips of light of an age, and the arm that follows them.
+/// A graph with tips of light of an age, and the arm that follows them.
 fn arm(age_ms: f64, more: &str) -> String {
     format!(
         r#"
@@ -221,8 +221,8 @@ inputs = { image = { from = "pass.image", delay = 1 }, tip = "scope.tip" }
     }
 }
 
-/// How far the camera is behind an instrument that moves to and fro at 12 mm/s, mm on average while it does not turn, and the longest time
-/// between two pictures in which its tip is found, ms. `rate` limits the node that finds it.
+/// Mean distance of the camera behind an instrument that moves to and fro at 12 mm/s, mm, while it does not turn, and the maximum time between two
+/// frames in which its tip is found, ms. `rate` limits the node that finds it.
 fn behind_mm(rate: &str) -> (f64, f64) {
     const TICKS: u64 = 480;
     let text = format!(

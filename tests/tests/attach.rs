@@ -1,4 +1,4 @@
-//! Windows of other machines on a running graph: what they see and may do, and what becomes of both when the network fails.
+//! Windows on other machines attached to a running graph: what they see and may do, and what happens to both when the network fails.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use panoscope_host::attach::{Attachment, Contact, Target};
 use panoscope_tests::machines::{Namespace, free_port, program};
 use panoscope_tests::scratch;
 
-/// 30 pictures a second, and a node with a parameter.
+/// A graph with 30 frames per second, and a node with a parameter.
 const GRAPH: &str = r#"
 mode = "live"
 plugins = ["flow"]
@@ -28,14 +28,14 @@ type = "drain"
 inputs = { image = { from = "camera.image", queue = 64 } }
 "#;
 
-/// A `panoscope run` with its log. It is killed when this is dropped.
+/// A `panoscope run` with its log; killed when dropped.
 struct Run {
     child: Child,
     log: Arc<Mutex<Vec<String>>>,
 }
 
 impl Run {
-    /// Starts it with `before` in front of the program, and waits until it listens; `None` where there is no program.
+    /// Starts it with `before` in front of the program, and waits until it listens; `None` if there is no program.
     fn start(before: &[&str], graph: &Path, arguments: &[&str]) -> Option<Self> {
         let program = program()?;
         let words = before.iter().map(|word| (*word).to_owned()).chain([program.display().to_string()]);
@@ -73,7 +73,7 @@ impl Drop for Run {
     }
 }
 
-/// Waits for something; returns whether it came.
+/// Waits for a condition; returns whether it became true.
 fn until(seconds: u64, is_there: impl Fn() -> bool) -> bool {
     let end = Instant::now() + Duration::from_secs(seconds);
     while !is_there() {
@@ -101,7 +101,7 @@ fn want(attachment: &Attachment) {
     attachment.request_packets(vec![wanted], Duration::from_millis(50));
 }
 
-/// Number of the tick of the next picture, and its age.
+/// Tick number of the next frame, and its age.
 fn picture(attachment: &Attachment, seconds: u64) -> Option<(u64, Duration)> {
     let end = Instant::now() + Duration::from_secs(seconds);
     while Instant::now() < end {

@@ -1,4 +1,4 @@
-//! The example plugins in C and C++ run in one graph beside Rust nodes.
+//! The example plugins in C and C++ run in one graph with Rust nodes.
 
 use std::path::Path;
 use std::process::Command;

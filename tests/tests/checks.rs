@@ -1,4 +1,5 @@
-//! What `check` finds in graphs of the real plugins, which `run` would refuse or lose: every node's own check, files, folders, models.
+//! What `check` reports in graphs of the real plugins: problems that `run` would refuse or data that it would lose. Every node's own check, files,
+//! folders, models.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,7 +15,7 @@ fn diagnostics(folder: &Path, text: &str) -> Diagnostics {
     check(&text, &loader.catalog_of(&text)).diagnostics
 }
 
-/// One node under test: `stage` gives what feeds it, and it is read by previews of `outputs`.
+/// A node under test: `stage` gives its producers, and previews read its `outputs`.
 struct Case {
     /// Name for messages.
     name: &'static str,
@@ -48,25 +49,25 @@ const CASES: &[Case] = &[
         name: "a negative crop",
         node: "type = \"capture\"\nparams = { left = \"wide.png\", crop = [-1, 0, 10, 10] }",
         outputs: &["left"],
-        found: (ERROR, PARAM, "[-1, 0, 10, 10]", "must be whole numbers of px from 0 on"),
+        found: (ERROR, PARAM, "[-1, 0, 10, 10]", "as integers in px, not negative"),
     },
     Case {
         name: "a negative crop of a pipeline, whose size is not known",
         node: "type = \"capture\"\nparams = { left = \"videotestsrc ! appsink\", crop = [0, 0, -4, 10] }",
         outputs: &["left"],
-        found: (ERROR, PARAM, "[0, 0, -4, 10]", "must be whole numbers of px from 0 on"),
+        found: (ERROR, PARAM, "[0, 0, -4, 10]", "as integers in px, not negative"),
     },
     Case {
         name: "a crop outside",
         node: "type = \"capture\"\nparams = { left = \"wide.png\", crop = [60, 0, 8, 8] }",
         outputs: &["left"],
-        found: (ERROR, PARAM, "[60, 0, 8, 8]", "leaves the picture of 64x32"),
+        found: (ERROR, PARAM, "[60, 0, 8, 8]", "extends beyond the frame of 64x32"),
     },
     Case {
         name: "a crop outside its half",
         node: "type = \"capture\"\nparams = { left = \"wide.png\", split = \"side_by_side\", crop = [20, 0, 20, 8] }",
         outputs: &["left", "right"],
-        found: (ERROR, PARAM, "[20, 0, 20, 8]", "leaves the picture of 32x32"),
+        found: (ERROR, PARAM, "[20, 0, 20, 8]", "extends beyond the frame of 32x32"),
     },
     Case {
         name: "an absent calibration",
@@ -78,7 +79,7 @@ const CASES: &[Case] = &[
         name: "a file that is not there",
         node: "type = \"capture\"\nparams = { left = \"film.mkv\" }",
         outputs: &["left"],
-        found: (ERROR, PARAM, "\"film.mkv\"", "there is no file "),
+        found: (ERROR, PARAM, "\"film.mkv\"", "does not exist"),
     },
     Case {
         name: "a pattern that matches nothing",
@@ -90,19 +91,19 @@ const CASES: &[Case] = &[
         name: "no source at all",
         node: "type = \"capture\"",
         outputs: &["left"],
-        found: (ERROR, PARAM, "it", "no source: give `left`"),
+        found: (ERROR, PARAM, "it", "no source is given: set `left`"),
     },
     Case {
         name: "a split of two sources",
         node: "type = \"capture\"\nparams = { left = \"wide.png\", right = \"wide.png\", split = \"top_bottom\" }",
         outputs: &["left", "right"],
-        found: (ERROR, PARAM, "\"top_bottom\"", "`split` cuts one picture in two"),
+        found: (ERROR, PARAM, "\"top_bottom\"", "`split` divides one frame into both views"),
     },
     Case {
         name: "a camera that is not there",
         node: "type = \"capture\"\nparams = { left = \"/dev/video4711\" }",
         outputs: &["left"],
-        found: (WARNING, PARAM, "\"/dev/video4711\"", "there is no camera /dev/video4711"),
+        found: (WARNING, PARAM, "\"/dev/video4711\"", "the camera /dev/video4711 does not exist"),
     },
     Case {
         name: "an element that GStreamer does not have",
@@ -114,7 +115,7 @@ const CASES: &[Case] = &[
         name: "a right view that never comes",
         node: "type = \"capture\"\nparams = { left = \"wide.png\" }",
         outputs: &["left", "right"],
-        found: (WARNING, NODE, "it", "output `right` is read and stays empty"),
+        found: (WARNING, NODE, "it", "output `right` is connected but stays empty"),
     },
     // --- stereo
     Case {
@@ -174,13 +175,13 @@ const CASES: &[Case] = &[
         name: "half an offset",
         node: "type = \"overlay\"\ninputs = { image = \"scope.left\" }\nparams = { offset_px = [4] }",
         outputs: &["image"],
-        found: (ERROR, PARAM, "[4]", "`offset_px` is x and y"),
+        found: (ERROR, PARAM, "[4]", "`offset_px` needs two numbers"),
     },
     Case {
         name: "two maps to colour",
         node: "type = \"colorize\"\ninputs = { disparity = \"bm.disparity\", depth = \"scope.depth\" }",
         outputs: &["image"],
-        found: (ERROR, NODE, "it", "more than one is connected"),
+        found: (ERROR, NODE, "it", "more than one map is connected"),
     },
     // --- arm
     Case {
@@ -199,13 +200,13 @@ const CASES: &[Case] = &[
         name: "a serial line that is not there",
         node: "type = \"arm_serial\"\nparams = { port = \"/dev/ttyNONE9\" }\ninputs = { tip = \"scope.tip\" }",
         outputs: &["joints"],
-        found: (WARNING, PARAM, "\"/dev/ttyNONE9\"", "there is no serial line /dev/ttyNONE9"),
+        found: (WARNING, PARAM, "\"/dev/ttyNONE9\"", "the serial line /dev/ttyNONE9 does not exist"),
     },
     Case {
         name: "a robot without a description",
         node: "type = \"arm_ur\"\nparams = { arm = \"\" }\ninputs = { tip = \"scope.tip\" }",
         outputs: &["joints"],
-        found: (ERROR, PARAM, "\"\"", "the robot has no description"),
+        found: (ERROR, PARAM, "\"\"", "no description of the robot is given"),
     },
     Case {
         name: "a robot whose home is not six angles",
@@ -222,13 +223,13 @@ const CASES: &[Case] = &[
         name: "an instrument that does not exist",
         node: "type = \"phantom\"\nparams = { tool_kinds = \"spoon\" }",
         outputs: &["left"],
-        found: (ERROR, PARAM, "\"spoon\"", "no instrument is called `spoon`"),
+        found: (ERROR, PARAM, "\"spoon\"", "there is no instrument `spoon`"),
     },
     Case {
         name: "a wide picture that is too wide",
         node: "type = \"phantom\"\nparams = { width = 3840, wide_factor = 4.0 }",
         outputs: &["wide"],
-        found: (ERROR, PARAM, "4.0", "8192 are the most"),
+        found: (ERROR, PARAM, "4.0", "the limit of 8192 px"),
     },
     Case {
         name: "a lens that folds",
@@ -253,26 +254,26 @@ const CASES: &[Case] = &[
         name: "a window that OpenCV refuses",
         node: "type = \"stereo_opencv\"\ninputs = { left = \"scope.left\", right = \"scope.right\" }\nparams = { block_px = 3 }",
         outputs: &["disparity"],
-        found: (ERROR, PARAM, "3", "takes at least 5"),
+        found: (ERROR, PARAM, "3", "needs at least 5"),
     },
     // --- sinks
     Case {
         name: "raw numbers in a JPEG",
         node: "type = \"write_raw\"\ninputs = { depth = \"scope.depth\" }\nparams = { path = \"out/q.jpg\" }",
         outputs: &[],
-        found: (ERROR, PARAM, "\"out/q.jpg\"", "no format has the ending `jpg`"),
+        found: (ERROR, PARAM, "\"out/q.jpg\"", "the extension `jpg` is not supported"),
     },
     Case {
         name: "a picture as a table",
         node: "type = \"write_images\"\ninputs = { image = \"scope.left\" }\nparams = { path = \"out/q.csv\" }",
         outputs: &[],
-        found: (ERROR, PARAM, "\"out/q.csv\"", "no format has the ending `csv`"),
+        found: (ERROR, PARAM, "\"out/q.csv\"", "the extension `csv` is not supported"),
     },
     Case {
         name: "a video without an ending",
         node: "type = \"write_video\"\ninputs = { image = \"scope.left\" }\nparams = { path = \"out/q\" }",
         outputs: &[],
-        found: (ERROR, PARAM, "\"out/q\"", "no format has the ending ``"),
+        found: (ERROR, PARAM, "\"out/q\"", "the extension `` is not supported"),
     },
     Case {
         name: "a codec that its file cannot hold",
@@ -298,11 +299,11 @@ const CASES: &[Case] = &[
         node: "type = \"write_images\"\ninputs = { mask = \"m.mask\" }\nparams = { at_end = true }\n\
                [nodes.m]\ntype = \"composite\"\ninputs = { left = \"scope.left\", right = \"scope.right\", homography = \"map.homography\" }",
         outputs: &[],
-        found: (ERROR, PARAM, "true", "`at_end` keeps a picture of input `image`"),
+        found: (ERROR, PARAM, "true", "`at_end` needs input `image`"),
     },
 ];
 
-/// A folder with a picture of 64 x 32 px and a file of words.
+/// A folder with an image of 64 x 32 px and a text file.
 fn folder(name: &str) -> PathBuf {
     let folder = panoscope_tests::scratch(name);
     image::RgbImage::new(64, 32).save(folder.join("wide.png")).expect("a picture");
@@ -333,7 +334,7 @@ fn every_node_refuses_at_check_what_it_would_refuse_when_it_runs() {
     std::fs::remove_dir_all(folder).expect("removed");
 }
 
-/// Sinks that take the outputs of a case, by what the outputs carry.
+/// Sinks that read the outputs of a case, by their packet type.
 fn readers(case: &Case) -> String {
     let mut out = String::new();
     for output in case.outputs {
@@ -362,7 +363,7 @@ fn readers(case: &Case) -> String {
     out
 }
 
-/// What is checked is exactly what `open` refuses: each parameter error above ends a run too, with the same words.
+/// `check` reports exactly what `open` refuses: each parameter error above also ends a run, with the same message.
 #[test]
 fn a_run_refuses_with_the_same_words() {
     let folder = folder("open");
@@ -448,7 +449,7 @@ fn a_running_node_refuses_what_check_would_refuse() {
     set("small_penalty", 100).expect("now it is below");
     // A path that cannot be written is refused before the file in use is touched.
     let refused = engine.set_param("out", "path", ParamValue::Path(folder.join("q.jpg"))).expect_err("no such format");
-    assert!(refused.to_string().contains("no format has the ending `jpg`"), "{refused}");
+    assert!(refused.to_string().contains("the extension `jpg` is not supported"), "{refused}");
     engine.close(std::time::Duration::from_secs(30));
     std::fs::remove_dir_all(folder).expect("removed");
 }

@@ -1,14 +1,15 @@
-//! Public data sets in graphs: truth beside what the matcher finds, shipped graphs on other data than the phantom's, `panoscope import`.
+//! Public data sets in graphs: ground truth compared with what the matcher finds, shipped graphs on other data than the phantom's, `panoscope
+//! import`.
 
 use crate::samples;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::samples::Tree;
 use panoscope_engine::Outcome;
 use panoscope_graph::GraphOptions;
 use panoscope_testing::Folder;
-use panoscope_tests::{Run, root, run, run_file};
+use panoscope_tests::{Run, named_program, root, run, run_file};
 
 /// Views that are large enough to be matched.
 const SIZE: (u32, u32) = (320, 240);
@@ -27,7 +28,7 @@ fn cell(folder: &Folder, file: &str, column: &str) -> f64 {
     row.split(',').nth(at).and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("{column}: {row}"))
 }
 
-/// Rectifies and matches the first sequence of `DIR/set` and writes the scores of disparity and depth beside the truth.
+/// Rectifies and matches the first sequence of `DIR/set` and writes the scores of disparity and depth compared with the ground truth.
 fn judge(folder: &Folder, matcher: &str, more: &str) -> Run {
     let graph = format!(
         r#"
@@ -76,7 +77,7 @@ params = {{ path = "rectified.png" }}
     done
 }
 
-/// Views that are rectified already, with principal columns 6 px apart: `rectify` leaves them alone and depth counts `doffs`.
+/// Views that are already rectified, with principal columns 6 px apart: `rectify` leaves them unchanged, and depth accounts for `doffs`.
 #[test]
 fn matched_depth_of_rectified_views_agrees_with_the_truth() {
     const SHIFT: u32 = 14;
@@ -109,8 +110,8 @@ fn texture(x: f64, y: f64) -> u8 {
     (row(j) * (1.0 - v) + row(j + 1) * v) as u8
 }
 
-/// A SCARED keyframe of a slanted plane, rendered for raw cameras of which the right one is turned by 6 degrees: what `rectify` and the matcher
-/// find is what the points say, once these are moved into the rectified view.
+/// A SCARED keyframe of a slanted plane, rendered for raw cameras of which the right one is rotated by 6 degrees: `rectify` and the matcher find what
+/// the points state, once these are moved into the rectified view.
 #[test]
 fn matched_depth_of_raw_views_agrees_with_points_of_the_raw_camera() {
     const FOCAL: f64 = 320.0;
@@ -212,14 +213,6 @@ fn graphs_judged_by_the_phantoms_truth_run_on_data_sets() {
     assert!(image::open(folder.at("tools.png")).is_ok());
 }
 
-fn program() -> Option<PathBuf> {
-    let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
-    if program.is_none() {
-        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
-    }
-    program
-}
-
 fn import(program: &Path, words: &[&str]) -> (Option<i32>, String, String) {
     let Output { status, stdout, stderr } =
         Command::new(program).arg("import").args(words).output().expect("the program starts");
@@ -233,7 +226,7 @@ fn no_video(path: &Path) {
 
 #[test]
 fn import_lists_what_it_found() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let folder = Folder::new("data-sets-import", &[]);
     let tree = tree(&folder);
     samples::all(&tree, no_video);
@@ -281,7 +274,7 @@ fn import_lists_what_it_found() {
 
 #[test]
 fn import_says_what_it_looked_for() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let folder = Folder::new("data-sets-import-none", &[("inside/notes.txt", "nothing"), ("set.tar.gz", "packed")]);
     let (code, said, errors) = import(&program, &[&folder.path().display().to_string()]);
     assert_eq!((code, said.as_str()), (Some(1), ""), "{errors}");
@@ -299,7 +292,7 @@ fn import_says_what_it_looked_for() {
     assert!(code == Some(2) && errors.contains("there is no folder"), "{errors}");
 }
 
-/// The data of this machine, where it is.
+/// Real data sets, if this machine has them.
 #[test]
 fn real_pictures_play() {
     let data = root().join("../shared/data");

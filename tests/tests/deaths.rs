@@ -1,7 +1,7 @@
-//! A campaign of deaths: processes of real nodes die in every way, at random ticks, and no picture is wrong.
+//! A campaign of crashes: processes of real nodes die in every way, at random ticks, and no frame is wrong.
 //!
-//! `PANOSCOPE_DEATH_CASES` sets the number of cases, `PANOSCOPE_DEATH_SEED` picks other ones. A case that fails is named with its number: the same
-//! seed repeats it.
+//! `PANOSCOPE_DEATH_CASES` sets the number of cases, `PANOSCOPE_DEATH_SEED` selects others. A case that fails is named with its number: the same seed
+//! repeats it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -12,17 +12,17 @@ use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::{Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_record::{RecordOptions, Recorder, head};
-use panoscope_tests::{load, scratch};
+use panoscope_tests::{isolated_processes, load, scratch};
 
 const FRAMES: u64 = 40;
 const MAX_RUN: Duration = Duration::from_secs(120);
-/// Ticks that a death may cost its own group: that of the call, and those during the pause before the node opens again.
+/// Maximum number of ticks that a crash may cost its own group: that of the call, and those during the pause before the node reopens.
 const MAX_LOST: u64 = 4;
 
 /// How a process dies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Death {
-    /// A harm of the test plugin `chaos`, and the cause of the fault.
+    /// Misbehaviour of the test plugin `chaos`, and the cause of the fault.
     Harm(&'static str, Cause),
     /// SIGKILL from outside, at any moment.
     Killed,
@@ -45,14 +45,14 @@ const DEATHS: [Death; 10] = [
 struct Case {
     number: u64,
     death: Death,
-    /// Where it dies.
+    /// Tick at which it dies.
     first: u64,
     threads: usize,
-    /// The nodes that share the process of the one that dies.
+    /// Nodes that share the process of the one that dies.
     with: Vec<&'static str>,
 }
 
-/// Nodes that may share its process. Each makes the same bytes whatever happened before.
+/// Nodes that may share its process. Their output does not depend on earlier ticks.
 const SHARING: [&str; 5] = ["scope", "rectify", "match", "marks", "passes"];
 /// Nodes of the graph's own process and of another group: they lose nothing.
 const OTHERS: [&str; 2] = ["twin", "apart"];
@@ -162,7 +162,7 @@ struct Run {
     packets: BTreeMap<String, BTreeMap<u64, u64>>,
 }
 
-/// Runs a case; with `dies`, one of its processes does.
+/// Runs a case; with `dies`, one of its processes dies.
 fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     let (path, text) = (folder.join("graph.toml"), case.text(dies));
     let (graph, catalog, loader) = load(&path, &text)?;
@@ -176,7 +176,7 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
             faults.push((Instant::now(), fault.clone()));
         }
     };
-    let before = children();
+    let before = isolated_processes();
     let options = Options {
         frames: Some(FRAMES),
         threads: case.threads,
@@ -203,7 +203,7 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();
     drop(engine);
-    let left = || children().difference(&before).count();
+    let left = || isolated_processes().difference(&before).count();
     while left() > 0 {
         if Instant::now() > end {
             return Err(format!("{} processes stay behind", left()));
@@ -221,26 +221,13 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     Ok(Run { report, outcome, faults, detection_ms, packets })
 }
 
-/// Processes of isolated nodes that this process started.
-fn children() -> BTreeSet<i32> {
-    let own = std::process::id();
-    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
-    let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let is_own = |process: &i32| {
-        let parent =
-            read(*process, "stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
-        parent == Some(own) && read(*process, "cmdline").contains("isolated-nodes")
-    };
-    numbers.filter(is_own).collect()
-}
-
 fn read(process: i32, file: &str) -> String {
     std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default()
 }
 
-/// Kills the process of a group; returns when, if there is one.
+/// Kills the process of a group. Returns the time, if there is such a process.
 fn kill(before: &BTreeSet<i32>, group: &str) -> Option<Instant> {
-    let process = children().difference(before).copied().find(|p| read(*p, "cmdline").contains(group))?;
+    let process = isolated_processes().difference(before).copied().find(|p| read(*p, "cmdline").contains(group))?;
     let now = Instant::now();
     // SAFETY: a plain system call; a process that this one started and has not waited for, or that has just ended by itself.
     (unsafe { libc::kill(process, libc::SIGKILL) } == 0).then_some(now)
@@ -254,7 +241,7 @@ struct Figures {
     pictures: usize,
 }
 
-/// Runs a case and compares it with the same graph in which nobody dies.
+/// Runs a case and compares it with the same graph without a crash.
 fn judge(case: &Case, figures: &mut Figures) -> Result<(), String> {
     let folder = scratch(&format!("death-{}", case.number));
     let whole = run(&folder, case, false)?;
@@ -302,7 +289,7 @@ fn judge(case: &Case, figures: &mut Figures) -> Result<(), String> {
     Ok(())
 }
 
-/// Every packet is the one of its tick; behind a source that died (`moved`), it is the next one of the whole run.
+/// Every packet belongs to its tick; after a source that died (`moved`), it is the next one of the undisturbed run.
 fn compare(port: &str, expected: &BTreeMap<u64, u64>, made: &BTreeMap<u64, u64>, moved: bool) -> Result<(), String> {
     let order: Vec<u64> = expected.values().copied().collect();
     let mut at = 0;

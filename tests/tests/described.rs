@@ -1,4 +1,4 @@
-//! Plugins whose nodes all run in processes of their own: none of their code runs in this process.
+//! Plugins whose nodes all run in separate processes: none of their code runs in this process.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,7 +10,7 @@ use panoscope_graph::{GraphText, check};
 use panoscope_host::loader::{Loader, search_path};
 use panoscope_tests::{root, scratch};
 
-/// One test at a time: they look at the memory of this process.
+/// Runs one test at a time: they inspect the memory of this process.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
@@ -72,7 +72,7 @@ fn loader(text: &GraphText) -> Loader {
     Loader::search(&search_path(&text.plugin_paths())).describing_within(Duration::from_secs(3))
 }
 
-/// Mistakes of a graph, and how long it took to find them.
+/// Errors of a graph, and the time that it took to find them.
 fn mistakes(text: &GraphText) -> (String, Duration) {
     let begin = Instant::now();
     let catalog = loader(text).catalog_of(text);
@@ -80,7 +80,7 @@ fn mistakes(text: &GraphText) -> (String, Duration) {
     (found, begin.elapsed())
 }
 
-/// Processes that a constructor ran in, from the file that it writes.
+/// Ids of the processes in which a constructor ran, from the file that it writes.
 fn marks(mark: &Path) -> Vec<u32> {
     let text = std::fs::read_to_string(mark).unwrap_or_default();
     text.lines().map(|line| line.parse().expect("a process number")).collect()
@@ -91,7 +91,7 @@ fn has_mapped(name: &str) -> bool {
     std::fs::read_to_string("/proc/self/maps").expect("the system lists memory").contains(name)
 }
 
-/// Runs a graph that isolates the plugin; none of its code runs in this process.
+/// Runs a graph that isolates the plugin; checks that none of its code runs in this process.
 fn runs_elsewhere(name: &str, isolate: impl Fn(&Path) -> GraphText) {
     let _alone = alone();
     let folder = scratch(name);
@@ -128,7 +128,7 @@ fn a_constructor_of_an_isolated_plugin_does_not_run_here() {
     runs_elsewhere("described-mark", |folder| graph(folder, ISOLATED, 1));
 }
 
-/// `graph` with `isolate` at the node, not for the plugin; `more` follows.
+/// `graph` with `isolate` at the node instead of the plugin; `more` is appended.
 fn with_isolated_node(folder: &Path, more: &str) -> GraphText {
     let text = graph_text(folder, "", 1).replace("type = \"passes\"", "type = \"passes\"\nisolate = \"foreign\"");
     GraphText::parse(&folder.join("graph.toml"), &format!("{text}{more}"))

@@ -2,7 +2,7 @@
 
 use panoscope_tests::{files, run, scratch};
 
-/// The demo's chain with a sink for every picture.
+/// The demo's chain with a sink for every image.
 fn chain(folder: &std::path::Path) -> String {
     let folder = folder.display();
     format!(

@@ -1,4 +1,4 @@
-//! DICOM beside real peers, see `python/dicom.py`.
+//! DICOM with real peers, see `python/dicom.py`.
 
 use std::path::Path;
 use std::process::Command;

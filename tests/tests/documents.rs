@@ -1,12 +1,12 @@
-//! The commands in the documents: every block is marked, every command and option exists, and what is marked to run runs.
+//! The commands in the documents: every block is marked, every command and option exists, and blocks that are marked to run do run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use panoscope_tests::{DOCUMENTS, document, root, scratch};
+use panoscope_tests::{DOCUMENTS, document, named_program, root, scratch};
 
-/// What the comment in the line before a block says about it.
+/// Mark in the comment on the line before a block.
 #[derive(Clone, Debug, PartialEq)]
 enum Mark {
     None,
@@ -27,7 +27,7 @@ struct Block {
 }
 
 impl Block {
-    /// Command lines of a shell block, without comments; lines joined by `&&` are several.
+    /// Command lines of a shell block, without comments; lines joined by `&&` are split.
     fn commands(&self) -> impl Iterator<Item = &str> {
         let lines = self.text.lines().map(|line| line.split(" #").next().unwrap_or_default());
         lines.flat_map(|line| line.split("&&")).map(str::trim).filter(|c| !c.is_empty() && !c.starts_with('#'))
@@ -90,14 +90,6 @@ fn blocks_of(name: &str) -> Vec<Block> {
     blocks(&document(name)).unwrap_or_else(|why| panic!("{name}: {why}"))
 }
 
-fn program() -> Option<PathBuf> {
-    let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
-    if program.is_none() {
-        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
-    }
-    program
-}
-
 #[test]
 fn every_block_is_marked() {
     let (mut run, mut not_run) = (0, 0);
@@ -123,7 +115,7 @@ fn every_block_is_marked() {
     }
 }
 
-/// The `--help` of commands, each asked once.
+/// The `--help` of commands; each is run once.
 struct Help {
     program: PathBuf,
     known: BTreeMap<Vec<String>, Option<String>>,
@@ -155,7 +147,7 @@ impl Help {
         entry.as_deref()
     }
 
-    /// What is wrong with a command line, as far as commands and options go.
+    /// What is wrong with the commands and options of a command line.
     fn mistake(&mut self, command: &str) -> Option<String> {
         let words: Vec<&str> = command.split_whitespace().skip(1).collect();
         let first = words.first().filter(|w| !w.starts_with('-'))?;
@@ -180,10 +172,10 @@ impl Help {
     }
 }
 
-/// Commands that have commands of their own.
+/// Commands with subcommands.
 const NESTED: [&str; 4] = ["bench", "dicom", "eval", "new"];
 
-/// The words of a `--help`, options among them.
+/// The words of a `--help`, including options.
 fn options_in(help: &str) -> BTreeSet<String> {
     help.split(|c: char| !(c.is_alphanumeric() || c == '-')).map(str::to_owned).collect()
 }
@@ -194,7 +186,7 @@ fn is_word(word: &str) -> bool {
 
 #[test]
 fn commands_and_options_exist() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let mut help = Help { program, known: BTreeMap::new() };
     assert_eq!(help.mistake("panoscope run a.toml --frames 3"), None);
     assert!(help.mistake("panoscope run a.toml --framse 3").is_some_and(|why| why.contains("--framse")));
@@ -224,7 +216,7 @@ fn commands_and_options_exist() {
 
 #[test]
 fn the_table_of_commands_has_each_command_and_its_options() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let mut help = Help { program, known: BTreeMap::new() };
     let text = document("core/cli/README.md");
     let table = text.split("\n## ").find(|section| section.starts_with("Commands")).expect("a table of commands");
@@ -261,7 +253,7 @@ fn the_table_of_commands_has_each_command_and_its_options() {
     assert!(count > 15, "{count} commands in --help");
 }
 
-/// A folder as the reader has it: a copy of the graphs, beside the plugins and their models.
+/// A folder as the reader has it: a copy of the graphs, next to the plugins and their models.
 fn reader_folder(name: &str) -> PathBuf {
     let folder = scratch(&format!("documents-{}", name.replace('/', "-")));
     for graphs in ["graphs", "graphs/parts", "graphs/sources", "graphs/machines"] {
@@ -306,9 +298,9 @@ fn run_blocks(name: &str, program: &Path) -> PathBuf {
     folder
 }
 
-/// Runs a document's blocks and looks for the files that it promises.
+/// Runs a document's blocks and checks the files that it promises.
 fn runs(name: &str, promised: &[&str], look: impl Fn(&Path)) {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let folder = run_blocks(name, &program);
     for file in promised {
         let bytes = std::fs::metadata(folder.join(file)).map(|f| f.len()).unwrap_or_default();
@@ -363,7 +355,7 @@ fn the_commands_of_the_other_pages_run() {
     }
 }
 
-/// The anchor that a heading gets.
+/// The anchor of a heading.
 fn anchor(heading: &str) -> String {
     let kept = heading.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
     kept.collect::<String>().to_lowercase().replace(' ', "-")

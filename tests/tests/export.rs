@@ -1,17 +1,9 @@
-//! Recordings as files of other programs: what `panoscope export` writes, read by others, and what it refuses.
+//! Recordings exported to files of other programs: what `panoscope export` writes, read by others, and what it refuses.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
-use panoscope_tests::{run_python_tests, scratch};
-
-fn program() -> Option<PathBuf> {
-    let program = std::env::var_os("PANOSCOPE_BIN").map(PathBuf::from);
-    if program.is_none() {
-        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
-    }
-    program
-}
+use panoscope_tests::{named_program, run_python_tests, scratch};
 
 #[test]
 fn exported_recordings_are_read_by_others() {
@@ -28,7 +20,7 @@ fn run(program: &Path, words: &[&std::ffi::OsStr]) -> Output {
 
 #[test]
 fn what_cannot_be_exported_is_refused_with_a_remedy() {
-    let Some(program) = program() else { return };
+    let Some(program) = named_program() else { return };
     let folder = scratch("export-refused");
     let (graph, recording) = (folder.join("graph.toml"), folder.join("run.mcap"));
     std::fs::write(&graph, GRAPH).expect("written");

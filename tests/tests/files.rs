@@ -1,12 +1,12 @@
 //! What sinks write in a running graph survives edits, refused edits, faults and a second writer; losses are reported.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use panoscope_engine::fault::Action;
 use panoscope_engine::{Engine, Options, SetError};
 use panoscope_host::loader::Live;
-use panoscope_tests::{load, scratch};
+use panoscope_tests::{load, scratch, wait_until};
 
 use crate::video::whole_frames;
 
@@ -36,24 +36,16 @@ fn start(text: &str) -> Result<Live<Box<Engine>>, String> {
     Ok(Live::new(Box::new(engine), path, text.to_owned(), Vec::new(), loader))
 }
 
-fn until(what: &str, mut done: impl FnMut() -> bool) {
-    let end = Instant::now() + PATIENCE;
-    while !done() {
-        assert!(Instant::now() < end, "{what}");
-        std::thread::sleep(Duration::from_millis(2));
-    }
-}
-
 fn made(live: &Live<Box<Engine>>, node: &str) -> u64 {
     live.engine().report().nodes.get(node).map_or(0, |n| n.count)
 }
 
 fn more_frames(live: &Live<Box<Engine>>, node: &str) {
     let before = made(live, node);
-    until("frames are written", || made(live, node) > before + 10);
+    wait_until("frames are written", || made(live, node) > before + 10);
 }
 
-/// Stops the run; answers the calls of a node.
+/// Stops the run; returns the number of calls of a node.
 fn end(live: &Live<Box<Engine>>, node: &str) -> u64 {
     live.engine().stop();
     assert!(live.engine().wait(Some(PATIENCE)), "it does not end");
@@ -61,7 +53,7 @@ fn end(live: &Live<Box<Engine>>, node: &str) -> u64 {
     made(live, node)
 }
 
-/// Frames of a completed video: a known size, whole JPEGs, an index.
+/// Number of frames of a completed video: a known size, complete JPEGs, an index.
 fn frames(path: &Path) -> u64 {
     let bytes = std::fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let segment = bytes.windows(4).position(|w| w == [0x18, 0x53, 0x80, 0x67]).expect("a segment");
@@ -238,10 +230,10 @@ fn a_full_disk_stops_the_sink_once_and_fails_the_run() {
     std::os::unix::fs::symlink("/dev/full", folder.join("full.mkv")).expect("a link");
     let text = graph(&(video("out", &folder.join("full.mkv"), "") + &video("good", &folder.join("good.mkv"), "")));
     let mut live = start(&text).expect("a good graph");
-    until("the full disk is met", || !live.engine().report().stopped.is_empty());
+    wait_until("the full disk is met", || !live.engine().report().stopped.is_empty());
     // Long enough for the shortest rests after a fault, were it opened again.
     let before = made(&live, "good");
-    until("the others go on", || made(&live, "good") > before + 100);
+    wait_until("the others go on", || made(&live, "good") > before + 100);
     let report = live.engine().report();
     assert!(report.stopped["out"].contains("the disk is full"), "{:?}", report.stopped);
     assert_eq!((report.nodes["out"].faults, report.nodes["out"].restarts), (1, 0));
@@ -251,7 +243,7 @@ fn a_full_disk_stops_the_sink_once_and_fails_the_run() {
     // With another path it goes on; the run has failed nevertheless.
     let other: PathBuf = folder.join("room.mkv");
     live.set_param("out", "path", &other.to_string_lossy().into_owned().into()).expect("a good change");
-    until("it writes again", || std::fs::metadata(&other).is_ok_and(|m| m.len() > 10_000));
+    wait_until("it writes again", || std::fs::metadata(&other).is_ok_and(|m| m.len() > 10_000));
     let count = end(&live, "good");
     assert_eq!(frames(&folder.join("good.mkv")), count);
     assert!(frames(&other) > 0 && live.engine().report().stopped.contains_key("out"));

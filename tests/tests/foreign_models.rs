@@ -1,4 +1,4 @@
-//! A model that ends the process that opens it ends no run, no change and no window: it is tried in a process of its own first.
+//! A model that crashes the process that opens it ends no run, no change and no window: it is first opened in a separate process.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -11,7 +11,7 @@ use panoscope_host::loader::trial::try_node;
 use panoscope_host::loader::{Live, Loader, search_path};
 use panoscope_tests::{load, scratch};
 
-/// A folder with one file for each thing that a model can do.
+/// A folder with one file for each behaviour of a model.
 fn models(name: &str) -> PathBuf {
     let folder = scratch(name);
     for text in ["good", "abort", "stack", "memory", "hang", "refuse"] {

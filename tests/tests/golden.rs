@@ -1,4 +1,4 @@
-//! Pictures that must stay as they are. `PANOSCOPE_BLESS=1` renews them; look at what changed before you commit it.
+//! Images that must not change. `PANOSCOPE_BLESS=1` renews them; look at what changed before you commit it.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use image::RgbImage;
 use panoscope_graph::{GraphOptions, GraphText};
 use panoscope_tests::{root, run, run_with, scratch};
 
-/// Peak signal-to-noise ratio in dB; infinite for equal pictures.
+/// Peak signal-to-noise ratio in dB; infinite for equal images.
 fn psnr_db(a: &RgbImage, b: &RgbImage) -> f64 {
     let squares: f64 = a.as_raw().iter().zip(b.as_raw()).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2)).sum();
     10.0 * (255.0 * 255.0 * a.as_raw().len() as f64 / squares).log10()
@@ -57,7 +57,7 @@ params = {{ path = "{}/panorama.png", at_end = true }}
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// Settings that send every file of a graph into a folder.
+/// Settings that redirect every file of a graph into a folder.
 fn redirected(text: &GraphText, folder: &Path) -> Vec<String> {
     let nodes = text.outline();
     let sinks = nodes.iter().filter(|node| node.type_name.starts_with("write_"));
@@ -69,7 +69,7 @@ fn redirected(text: &GraphText, folder: &Path) -> Vec<String> {
     sinks.map(file).collect()
 }
 
-/// The pictures were made when each graph had its chain in its own file: parts change no byte.
+/// The images were made when each graph had its chain in its own file: parts change no byte.
 #[test]
 fn stills_of_shipped_graphs() {
     for name in ["compare_stitch", "stereo_judged"] {

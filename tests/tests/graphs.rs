@@ -1,4 +1,5 @@
-//! Every graph that ships is right with each source that makes sense, says what it shows, and reads no truth of the phantom unless its name says so.
+//! Every shipped graph is valid with each source that suits it, describes what it shows, and reads the phantom's ground truth only if its name says
+//! so.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +12,7 @@ fn graphs() -> PathBuf {
     panoscope_tests::root().join("graphs")
 }
 
-/// Names of the graph files of a folder below `graphs`, without their ending.
+/// Names of the graph files of a folder below `graphs`, without their extension.
 fn files(folder: &str) -> Vec<String> {
     let entries = std::fs::read_dir(graphs().join(folder)).expect("graphs").flatten();
     let mut names: Vec<String> =
@@ -20,7 +21,7 @@ fn files(folder: &str) -> Vec<String> {
     names
 }
 
-/// All plugins of this machine, loaded.
+/// Catalog of all plugins of this machine.
 fn catalog() -> (Loader, Catalog) {
     let loader = Loader::search(&loader::search_path(&[]));
     let names: Vec<String> = loader.found().map(|f| f.note.name.clone()).collect();
@@ -99,7 +100,7 @@ struct Source {
     args: &'static [(&'static str, &'static str)],
 }
 
-/// In a folder with pictures of two and four views, a calibration and a data set.
+/// Sources in a folder with images of two and four views, a calibration and a data set.
 const SOURCES: [Source; 8] = [
     Source { name: "phantom", args: &[("seed", "3"), ("tools", "1")] },
     Source { name: "files", args: &[("left", "left.png"), ("right", "right.png"), ("calibration", "scope.yml")] },
@@ -111,7 +112,7 @@ const SOURCES: [Source; 8] = [
     Source { name: "four_files", args: &[("views", "left.png; right.png; left.png; right.png")] },
 ];
 
-/// Why a graph does not take a source, and the words of the error that says so; `None` where it does.
+/// Why a graph does not accept a source, and the text of the error; `None` if it does.
 fn refusal(graph: &str, source: &str) -> Option<(&'static str, &'static str)> {
     const NO_SCOPE: &str = "replaces nothing: the graph has no node of that name";
     let has_tip = matches!(graph, "surgeon" | "navigation" | "thesis_chapter6" | "arm_closed_loop");

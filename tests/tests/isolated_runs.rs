@@ -1,4 +1,4 @@
-//! What a call of an isolated node costs, what its process may do, and where a source goes on after its process died.
+//! Cost of a call of an isolated node, permissions of its process, and where a source continues after its process died.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,15 +7,15 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use panoscope_engine::fault::Cause;
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_host::isolate::kernel;
-use panoscope_tests::{DisturbedRun, run_disturbed, scratch};
+use panoscope_tests::{DisturbedRun, isolated_processes, run_disturbed, scratch};
 
-/// One test at a time: they kill processes of this one.
+/// Runs one test at a time: they kill processes of this one.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A filter that forwards, one that makes pictures, one that writes to its input's pixels, one that asks for ages and a source with a clock.
+/// A filter that forwards, one that makes frames, one that writes to its input's pixels, one that asks for ages, and a source with a clock.
 const FILTERS: &str = r#"
 mode = "batch"
 plugins = ["flow", "phantom", "stereo", "overlay", "fixtures"]
@@ -140,27 +140,14 @@ fn what_a_group_is_denied_fails_and_the_run_goes_on() {
     }
 }
 
-/// Processes of isolated nodes that this process started.
-fn children() -> Vec<i32> {
-    let own = std::process::id();
-    let entries = std::fs::read_dir("/proc").expect("the system lists processes").flatten();
-    let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let is_own = |process: &i32| {
-        let read = |file: &str| std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default();
-        let parent = read("stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
-        parent == Some(own) && read("cmdline").contains("isolated-nodes")
-    };
-    numbers.filter(is_own).collect()
-}
-
-/// Kills the process of isolated nodes once a source has made so many ticks.
+/// Kills the process of isolated nodes once a source has made this many ticks.
 fn kill_once(source: &'static str, at: u64) -> impl FnMut(&Engine) {
     let mut is_done = false;
     move |engine| {
         if is_done || engine.report().nodes[source].count < at {
             return;
         }
-        for process in children() {
+        for process in isolated_processes() {
             // SAFETY: plain system call; a process that this one started.
             unsafe { libc::kill(process, libc::SIGKILL) };
             is_done = true;
@@ -168,7 +155,7 @@ fn kill_once(source: &'static str, at: u64) -> impl FnMut(&Engine) {
     }
 }
 
-/// Pictures that each have another content.
+/// Writes images with different content.
 fn pictures(folder: &Path, count: u8) -> PathBuf {
     let pictures = folder.join("pictures");
     std::fs::create_dir_all(&pictures).expect("a folder");

@@ -1,9 +1,9 @@
-//! Nodes in processes of their own: the same bytes as in the process of the graph, and whatever happens there stays there.
+//! Nodes in separate processes: the same bytes as in the process of the graph, and faults stay inside their process.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome, Report};
@@ -11,11 +11,11 @@ use panoscope_graph::GraphText;
 use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
 use panoscope_record::{Digests, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
-use panoscope_tests::{files, load, run, scratch};
+use panoscope_tests::{files, isolated_processes, load, run, scratch, wait_until};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Threads that run a test or wait for their turn to. They start while another test counts threads.
+/// Threads that run a test or wait for their turn. They start while another test counts threads.
 static TESTS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 /// This thread, as the system lists it.
@@ -31,14 +31,14 @@ fn threads() -> usize {
     all.flatten().filter(|entry| !tests.contains(&entry.path())).count()
 }
 
-/// One test at a time: they count processes, files and memory of this process.
+/// Runs one test at a time: they count processes, files and memory of this process.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     TESTS.lock().unwrap_or_else(PoisonError::into_inner).insert(this_thread());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Rendered stereo pictures, their registration and the wide picture, all of them written.
+/// Rendered stereo frames, their registration and the wide image, all of them written.
 fn panorama(folder: &Path, isolate: &str) -> String {
     let folder = folder.display();
     format!(
@@ -93,7 +93,7 @@ fn isolated_nodes_make_the_same_bytes() {
     }
 }
 
-/// A run of a graph text, with its faults.
+/// A finished run of a graph text, with its faults.
 struct Ran {
     report: Report,
     outcome: Outcome,
@@ -121,7 +121,7 @@ fn ran(folder: &Path, text: &str, options: Options) -> Ran {
     Ran { report, outcome, faults }
 }
 
-/// Frames through an isolated node that does harm, beside a node of the graph's process and one of another group.
+/// Frames through an isolated node that misbehaves, next to a node of the graph's process and one of another group.
 fn harmed(folder: &Path, harm: &str, kind: &str) -> String {
     let folder = folder.display();
     format!(
@@ -209,7 +209,7 @@ fn a_hang_is_killed_and_the_node_comes_back() {
         let missing: Vec<u64> =
             (0..).zip(ledger(&folder)).filter(|(_, i)| i[0].is_none()).map(|(seq, _)| seq).collect();
         assert_eq!(missing, [10], "one tick is lost");
-        assert!(children().is_empty(), "no process stays behind");
+        assert!(isolated_processes().is_empty(), "no process stays behind");
         let _ = std::fs::remove_dir_all(&folder);
     }
 }
@@ -243,7 +243,7 @@ fn a_node_that_crashes_while_it_opens_is_named() {
     }
 }
 
-/// Frames, passed on by an isolated node.
+/// Frames, forwarded by an isolated node.
 fn passing(params: &str) -> String {
     format!(
         r#"
@@ -264,14 +264,6 @@ inputs = {{ image = {{ from = "passes.image", queue = 200 }} }}
     )
 }
 
-fn until(what: &str, mut done: impl FnMut() -> bool) {
-    let end = Instant::now() + PATIENCE;
-    while !done() {
-        assert!(Instant::now() < end, "{what}");
-        std::thread::sleep(Duration::from_millis(2));
-    }
-}
-
 #[test]
 fn values_nodes_and_groups_change_while_frames_flow() {
     let _alone = alone();
@@ -284,26 +276,26 @@ fn values_nodes_and_groups_change_while_frames_flow() {
     let sink = |live: &Live<Arc<Engine>>| live.engine().report().nodes["sink"].count;
     let flows = |live: &Live<Arc<Engine>>| {
         let from = sink(live);
-        until("frames flow", || sink(live) > from + 3);
+        wait_until("frames flow", || sink(live) > from + 3);
     };
     flows(&live);
-    let first = children();
+    let first = isolated_processes();
     assert_eq!(first.len(), 1, "one process");
     live.set_param("passes", "first", &toml::Value::Integer(3)).expect("a good value");
     flows(&live);
-    assert_eq!(children(), first, "a value needs no new process");
+    assert_eq!(isolated_processes(), first, "a value needs no new process");
     // Another node of the group joins its process.
     live.apply_text(&format!("{}\n[nodes.more]\ntype = \"pass\"\nisolate = \"group\"\ninputs = {{ image = \"passes.image\" }}\n[nodes.end]\ntype = \"drain\"\ninputs = {{ image = \"more.image\" }}\n", live.text()))
         .expect("a good change");
-    until("the new branch works", || live.engine().report().nodes["end"].count > 3);
-    assert_eq!(children(), first, "the same process");
+    wait_until("the new branch works", || live.engine().report().nodes["end"].count > 3);
+    assert_eq!(isolated_processes(), first, "the same process");
     // The node leaves its process, and comes back to another one.
     let inside = live.text().replacen("isolate = \"group\"", "", 1);
     live.apply_text(&inside).expect("a good change");
     flows(&live);
     live.apply_text(&inside.replace("isolate = \"group\"", "isolate = \"other\"")).expect("a good change");
-    until("the branch works again", || live.engine().report().nodes["end"].count > 3);
-    until("the old process leaves", || children().len() == 1 && children() != first);
+    wait_until("the branch works again", || live.engine().report().nodes["end"].count > 3);
+    wait_until("the old process leaves", || isolated_processes().len() == 1 && isolated_processes() != first);
     live.engine().stop();
     assert!(live.engine().wait(Some(PATIENCE)));
     live.engine().close(PATIENCE);
@@ -311,7 +303,7 @@ fn values_nodes_and_groups_change_while_frames_flow() {
     assert!(report.nodes.values().all(|n| n.faults == 0), "{report:#?}");
     assert_eq!(report.nodes["sink"].count, report.nodes["source"].count, "no frame is lost");
     drop(live);
-    assert!(children().is_empty(), "no process stays behind");
+    assert!(isolated_processes().is_empty(), "no process stays behind");
     let _ = std::fs::remove_dir_all(&folder);
 }
 
@@ -332,8 +324,8 @@ fn a_rebuilt_plugin_is_swapped_in_its_process() {
     let engine = Engine::start(graph, &catalog, &loader, Options { threads: 2, ..Options::default() });
     let mut live = Live::new(Arc::new(engine.unwrap_or_else(|e| panic!("{e}"))), &path, text, Vec::new(), loader);
     let sink = |live: &Live<Arc<Engine>>| live.engine().report().nodes["sink"].count;
-    until("frames flow", || sink(&live) > 5);
-    let process = children();
+    wait_until("frames flow", || sink(&live) > 5);
+    let process = isolated_processes();
     let new = plugins.join("chaos.new");
     // Another byte behind the end: a file of the same bytes is the same plugin.
     let bytes = [std::fs::read(&built).expect("the plugin"), vec![0]].concat();
@@ -342,8 +334,8 @@ fn a_rebuilt_plugin_is_swapped_in_its_process() {
     let applied = live.reload_plugins().expect("the same nodes");
     assert!(applied.replaced.contains(&"passes".to_owned()), "{applied:?}");
     let from = sink(&live);
-    until("frames flow", || sink(&live) > from + 5);
-    assert_eq!(children(), process, "in the same process");
+    wait_until("frames flow", || sink(&live) > from + 5);
+    assert_eq!(isolated_processes(), process, "in the same process");
     live.engine().stop();
     assert!(live.engine().wait(Some(PATIENCE)));
     live.engine().close(PATIENCE);
@@ -400,26 +392,7 @@ fn a_run_with_a_crash_replays_to_the_byte() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// Processes of isolated nodes that this process started, as they are listed.
-fn children() -> Vec<u32> {
-    let own = std::process::id();
-    let Ok(entries) = std::fs::read_dir("/proc") else { return Vec::new() };
-    let mut found: Vec<u32> = entries
-        .flatten()
-        .filter_map(|entry| entry.file_name().to_str()?.parse().ok())
-        .filter(|process: &u32| {
-            let read = |file: &str| std::fs::read_to_string(format!("/proc/{process}/{file}")).unwrap_or_default();
-            let parent = read("stat").rsplit_once(") ").and_then(|(_, rest)| rest.split(' ').nth(1)?.parse().ok());
-            let command = read("cmdline");
-            // Those that describe a plugin belong to no group; they leave when nobody asks them any more.
-            parent == Some(own) && command.contains("isolated-nodes") && !command.contains("\0describes ")
-        })
-        .collect();
-    found.sort_unstable();
-    found
-}
-
-/// Open files of this process that isolation makes.
+/// Open files of this process that isolation created.
 fn shared_files() -> Vec<String> {
     let entries = std::fs::read_dir("/proc/self/fd").expect("the system lists open files").flatten();
     let names = entries.filter_map(|entry| Some(std::fs::read_link(entry.path()).ok()?.display().to_string()));
@@ -428,7 +401,7 @@ fn shared_files() -> Vec<String> {
         .collect()
 }
 
-/// Mappings of frames and lanes. The code of plugins stays mapped, as it always does.
+/// Mappings of frames and lanes. The code of plugins stays mapped, which is intended.
 fn shared_memory() -> Vec<String> {
     let maps = std::fs::read_to_string("/proc/self/maps").expect("the system lists memory");
     let of = |line: &&str| ["memfd:panoscope-frames", "memfd:panoscope-lane"].iter().any(|name| line.contains(name));
@@ -445,12 +418,12 @@ fn a_closed_graph_leaves_no_process_no_file_and_no_memory() {
         let (engine, _) = started(&folder, &harmed(&folder, "segv", "chaos"), options);
         assert!(engine.wait(Some(PATIENCE)));
         engine.close(PATIENCE);
-        assert!(children().is_empty(), "no process stays when the graph is closed");
+        assert!(isolated_processes().is_empty(), "no process stays when the graph is closed");
         drop(engine);
         // A thread of the engine may still be on its way out.
-        until("its memory is given back", || shared_memory().is_empty());
-        until("its files are closed", || shared_files().is_empty());
+        wait_until("its memory is given back", || shared_memory().is_empty());
+        wait_until("its files are closed", || shared_files().is_empty());
     }
-    until("its threads leave", || threads() <= before);
+    wait_until("its threads leave", || threads() <= before);
     let _ = std::fs::remove_dir_all(&folder);
 }

@@ -1,4 +1,4 @@
-//! Running graphs beside other programs: Foxglove's protocol, rerun, ROS 2. The peers are real and run on this machine.
+//! Running graphs with other programs: Foxglove's protocol, rerun, ROS 2. The peers are real and run on this machine.
 
 use panoscope_tests::run_python_tests;
 

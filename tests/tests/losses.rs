@@ -1,8 +1,8 @@
-//! A campaign of losses: `panoscope record`, which also writes a video, is killed, put to sleep, run twice on one output, given a full disk, or
-//! loses an isolated process. No log has a panic, nothing that was in a file is gone, and each replay has the recorded bytes or fails.
+//! A campaign of losses: `panoscope record`, which also writes a video, is killed, suspended, run twice on one output, given a full disk, or loses an
+//! isolated process. No log contains a panic, nothing that was in a file is lost, and each replay has the recorded bytes or fails.
 //!
-//! `PANOSCOPE_LOSS_CASES` sets the number of cases, `PANOSCOPE_LOSS_SEED` picks other ones. A case that fails is named with its number: the same
-//! seed draws it again.
+//! `PANOSCOPE_LOSS_CASES` sets the number of cases, `PANOSCOPE_LOSS_SEED` selects others. A case that fails is named with its number: the same seed
+//! repeats it.
 
 use std::collections::BTreeMap;
 use std::os::unix::process::CommandExt;
@@ -18,25 +18,25 @@ use crate::video::whole_frames;
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Frames of a run that ends by itself.
 const FRAMES: usize = 120;
-/// Frames of one that a second run meets: it waits for a lock for 1 s.
+/// Number of frames of a run that meets a second one, which waits for a lock for 1 s.
 const LONG_FRAMES: usize = 400;
 const RATE_HZ: f64 = 200.0;
-/// So long may a call take, ms. Some sleeps are longer: they are no hang.
+/// Time limit of a call, ms. Some suspensions are longer; they are not hangs.
 const HANG_MS: &str = "1000";
 /// Exit code where no file system can be mounted.
 const NO_MOUNT: i32 = 99;
-/// Ticks that may be in the video and not yet in the recording: the recorder writes at least four times a second.
+/// Maximum number of ticks that are in the video but not yet in the recording: the recorder writes at least four times a second.
 const MAX_BEHIND: usize = 80;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Loss {
-    /// SIGKILL of the program and all that it started.
+    /// SIGKILL to the program and all processes that it started.
     Killed,
-    /// SIGKILL of the process of an isolated node.
+    /// SIGKILL to the process of an isolated node.
     IsolatedKilled,
     /// A second program writes the same video, or the same recording.
     Twice { recording: bool },
-    /// The file system of the outputs is full soon.
+    /// The file system of the outputs soon becomes full.
     DiskFull { kib: u64 },
     /// SIGSTOP, and SIGCONT later.
     Asleep { ms: u64 },
@@ -81,7 +81,7 @@ impl Case {
     }
 }
 
-/// A program in a process group of its own, which ends with this.
+/// A program in a separate process group, which is killed when dropped.
 struct Running {
     child: Child,
     log: PathBuf,
@@ -106,7 +106,7 @@ impl Running {
         unsafe { libc::kill(-self.child.id().cast_signed(), signal) };
     }
 
-    /// Waits for its end; answers how it ended and what it printed.
+    /// Waits for its end; returns how it ended and what it printed.
     fn end(&mut self) -> Result<(ExitStatus, String), String> {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -124,13 +124,13 @@ impl Running {
         }
     }
 
-    /// As [`Self::end`], of a run that has to succeed.
+    /// As [`Self::end`], for a run that must succeed.
     fn succeeds(&mut self) -> Result<String, String> {
         let (status, text) = self.end()?;
         if status.success() { Ok(text) } else { Err(format!("{status}: {text}")) }
     }
 
-    /// Waits until a file has frames and the time of the case has passed.
+    /// Waits until a file contains frames and the time of the case has passed.
     fn until_frames(&mut self, film: &Path, after_ms: u64) -> Result<(), String> {
         let end = Instant::now() + PATIENCE;
         while frames(film) < 3 {
@@ -183,11 +183,11 @@ fn fingerprints(file: &Path) -> Result<Fingerprints, String> {
     Ok(ports.map(|(name, port)| (name.clone(), packets(port))).collect())
 }
 
-/// Runs cases in a folder and compares them with runs that nothing happened to.
+/// Runs cases in a folder and compares them with undisturbed runs.
 struct Campaign {
     program: PathBuf,
     folder: PathBuf,
-    /// What the ports have, by width: more ticks than any case.
+    /// Expected fingerprints by width: more ticks than any case.
     expected: BTreeMap<usize, Fingerprints>,
     frames: usize,
     replays: usize,
@@ -200,7 +200,7 @@ impl Campaign {
         Running::start(&self.program, &self.folder, &log, &words)
     }
 
-    /// Records on a file system of a size, whose files are copied when the run has ended. Its exit code is [`NO_MOUNT`] where the system allows no
+    /// Records on a file system of a given size, whose files are copied when the run has ended. The exit code is [`NO_MOUNT`] if the system allows no
     /// mounts.
     fn record_on(&self, kib: u64, graph: &str, recording: &str) -> Result<Running, String> {
         let script = format!(
@@ -213,7 +213,7 @@ impl Campaign {
         Running::start(Path::new("unshare"), &self.folder, "full.log", &words)
     }
 
-    /// Replays a recording; answers its ticks. One that is not whole has to be refused with a reason after what it has.
+    /// Replays a recording; returns its ticks. An incomplete one must be refused with a reason after its last tick.
     fn replay(&mut self, case: &Case, recording: &str) -> Result<(usize, bool), String> {
         let digests = self.folder.join("replay.json");
         let _ = std::fs::remove_file(&digests);
@@ -236,7 +236,7 @@ impl Campaign {
         Ok((played.get("camera.image").map_or(0, BTreeMap::len), is_whole))
     }
 
-    /// The fingerprints that packets of a width have.
+    /// Computes the expected fingerprints for a width.
     fn expect(&mut self, case: &Case) -> Result<(), String> {
         if self.expected.contains_key(&case.width_px) {
             return Ok(());
@@ -370,7 +370,7 @@ impl Campaign {
         Ok(())
     }
 
-    /// Checks a video and a recording that lack nothing.
+    /// Checks a video and a recording that must be complete.
     fn whole(&mut self, case: &Case, film: &Path, count: usize) -> Result<(), String> {
         let written = frames(film);
         let (ticks, is_whole) = self.replay(case, "run.mcap")?;

@@ -1,4 +1,4 @@
-//! The mosaic of one moving camera: the graph that ships, and its drift beside the phantom's truth.
+//! The mosaic of one moving camera: the shipped graph, and its drift compared with the phantom's ground truth.
 
 use std::collections::HashMap;
 use std::path::Path;

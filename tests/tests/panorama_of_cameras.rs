@@ -1,14 +1,14 @@
-//! Panoramas by disparity from cameras as they are built: not level.
+//! Panoramas by disparity from real cameras, which are never level.
 
 use panoscope_engine::{Options, Outcome};
 use panoscope_tests::{root, run_disturbed, scratch};
 
 const SIZE: (u32, u32) = (320, 240);
-/// The right view shows what the left one shows, this many px further left and lower.
+/// The right view shows the content of the left one, this many px further left and lower.
 const SHIFT: (u32, u32) = (60, 9);
 const FRAMES: u64 = 6;
 
-/// Random gray values, smoothed: matchers need texture, mesh and seam do not need noise.
+/// Random gray values, smoothed: matchers need texture, mesh and seam need no noise.
 fn texture(x: u32, y: u32) -> u8 {
     let value = |x: u32, y: u32| {
         let mut hash =

@@ -1,11 +1,11 @@
-//! Warnings of `proximity` beside the phantom's exact distances, with exact depth and with depth that cameras match.
+//! Warnings of `proximity` compared with the phantom's exact distances, with exact depth and with matched depth.
 
 use std::collections::HashMap;
 use std::path::Path;
 
 use panoscope_tests::{run, scratch};
 
-/// The last two lines of a table, by name: counts to the letter, and with the margin.
+/// The last two rows of a table, by name: exact counts, and counts with the margin.
 fn counts(path: &Path) -> [HashMap<String, f64>; 2] {
     let text = std::fs::read_to_string(path).expect("the judge's counts");
     let names: Vec<String> = text.lines().next().expect("names").split(',').map(str::to_owned).collect();

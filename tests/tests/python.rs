@@ -1,4 +1,4 @@
-//! Nodes written in Python: what they get and give, how they fail, and how they are exchanged while a graph runs.
+//! Nodes written in Python: their inputs and outputs, how they fail, and how they are replaced while a graph runs.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -22,7 +22,7 @@ fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Runs a graph whose plugins lie in `folder`.
+/// Runs a graph whose plugins are in `folder`.
 fn run(folder: &Path, text: &str, frames: u64) -> DisturbedRun {
     run_with(folder, text, Options { frames: Some(frames), ..Options::default() })
 }

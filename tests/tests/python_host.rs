@@ -1,4 +1,4 @@
-//! What the Python package does, in Python: each test runs a file of `tests/python`, or a class of one.
+//! The Python package, tested in Python: each test runs a file of `tests/python`, or a class of one.
 
 use panoscope_tests::{root, run_python_class, run_python_tests};
 

@@ -1,4 +1,4 @@
-//! What the documents name exists: plugins, graphs, environment variables, training scripts with their arguments.
+//! Everything that the documents name exists: plugins, graphs, environment variables, training scripts with their arguments.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -91,7 +91,7 @@ fn environment_variables_of_users_are_documented() {
     }
 }
 
-/// The `--help` of a training script; needs no more than Python.
+/// The `--help` of a training script; needs only Python.
 fn help_of(script: &Path) -> Option<String> {
     let output = match Command::new("python3").arg("-B").arg(script).arg("--help").output() {
         Ok(output) => output,

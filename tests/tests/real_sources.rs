@@ -1,4 +1,4 @@
-//! The surgeon's preset without the phantom: on pictures, on videos, and on pairs of a real endoscope.
+//! The surgeon's preset without the phantom: on images, on videos, and on pairs of a real endoscope.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use panoscope_tests::{CALIBRATION, Run, root, run, run_file};
 
 const FRAMES: u64 = 8;
 
-/// A rendered pair in files, as cameras would give it.
+/// Writes a rendered pair to files, as cameras would deliver it.
 fn pair(node: &str, ending: &str) -> String {
     let sink = |side: &str| {
         format!(
@@ -21,7 +21,7 @@ fn pair(node: &str, ending: &str) -> String {
     format!("{scope}{}{}", sink("left"), sink("right"))
 }
 
-/// `panoscope run surgeon.toml --with sources/files.toml` with what it writes in `folder`. `None` where the test is skipped.
+/// Runs `panoscope run surgeon.toml --with sources/files.toml` with its output in `folder`. `None` if the test is skipped.
 fn surgeon(folder: &Folder, left: &Path, right: &Path, more: &[&str]) -> Option<Run> {
     let calibration = &folder.at("scope.yml");
     let args = [("left", left), ("right", right), ("calibration", calibration)];
@@ -39,7 +39,7 @@ fn surgeon(folder: &Folder, left: &Path, right: &Path, more: &[&str]) -> Option<
     run_file(&root().join("graphs/surgeon.toml"), &options, FRAMES)
 }
 
-/// What the screen shows in the end: a main picture on three fifths of it, a surface without false holes, colours that cover the depths.
+/// Checks the final screen: a main image on three fifths of it, a surface without false holes, colours that cover the depths.
 fn looks_right(run: &Run, max_dead_pct: f64) {
     let metric = |node: &str, name: &str| {
         let of = &run.report.nodes[node].metrics;

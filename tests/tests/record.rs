@@ -1,6 +1,6 @@
-//! The demo graph live, with fifty changes while it runs, and the same run again: not a byte differs.
+//! The demo graph live, with fifty changes while it runs, and a replay of the run: not a byte differs.
 //!
-//! `PANOSCOPE_RECORD_FRAMES` and `PANOSCOPE_RECORD_WIDTH` make the run longer and the pictures larger.
+//! `PANOSCOPE_RECORD_FRAMES` and `PANOSCOPE_RECORD_WIDTH` make the run longer and the frames larger.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
 }
 
-/// `graphs/panorama.toml` without its files, with smaller pictures.
+/// `graphs/panorama.toml` without its files, with smaller frames.
 fn demo(width: u64) -> String {
     let file = root().join("graphs/panorama.toml");
     let text = std::fs::read_to_string(file).expect("the demo graph");
@@ -41,7 +41,7 @@ fn demo(width: u64) -> String {
     edit.text()
 }
 
-/// Values, a node that comes and goes, and inputs that move from one output to another.
+/// Changes values, adds and removes a node, and moves inputs from one output to another.
 fn change(live: &mut Live<&Engine>, number: u64) {
     let id = format!("extra{}", number / 5);
     let done = match number % 5 {

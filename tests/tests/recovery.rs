@@ -1,4 +1,4 @@
-//! What stitching shows while something goes wrong, and how soon it is back (thesis, section 2.4.3).
+//! What stitching shows during an incident, and how soon it recovers (thesis, section 2.4.3).
 
 use std::path::Path;
 
@@ -8,17 +8,16 @@ use serde_json::Value;
 const FIRST: usize = 8;
 const COUNT: usize = 8;
 const TICKS: usize = 24;
-/// Good pictures within which stitching must be back.
+/// Maximum number of good frames until stitching must have recovered.
 const RECOVERY: usize = 3;
 const HOLD: usize = 2;
-/// A registration this near to the best plane is a right one: tissue is no plane, and other planes fit it as well.
+/// Maximum distance of a correct registration from the best plane, px: tissue is not a plane, and other planes fit it as well.
 const RIGHT_PX: f64 = 10.0;
 const SIZE: (f64, f64) = (320.0, 240.0);
 
 struct Ran {
     states: Vec<String>,
-    /// Root mean square distance of each tick's registration from the true plane, over the part of the right view that the left one
-    /// sees, px.
+    /// Root mean square distance of each tick's registration from the true plane, over the part of the right view that the left one also sees, px.
     off_px: Vec<f64>,
     pictures: Vec<image::RgbImage>,
 }

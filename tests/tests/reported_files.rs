@@ -1,4 +1,4 @@
-//! Files after public bug reports of other projects: each plays with the right values, or is refused with the reason.
+//! Files from public bug reports of other projects: each plays with the correct values, or is refused with the reason.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -6,15 +6,15 @@ use std::process::Command;
 use panoscope_tests::machines::program;
 use panoscope_tests::{root, scratch};
 
-/// What a run of the graph in a folder of `../shared/foreign/reports` shall do.
+/// Expected result of running the graph in a folder of `../shared/foreign/reports`.
 struct Case {
     folder: &'static str,
     arguments: &'static [&'static str],
-    /// Whether it ends well.
+    /// Whether it must succeed.
     is_right: bool,
-    /// What it says.
+    /// Part of its output.
     words: &'static str,
-    /// Images that it writes.
+    /// Number of images that it writes.
     images: usize,
 }
 
@@ -51,7 +51,7 @@ static CASES: [Case; 21] = [
     plays("path_bang", &["still.toml", "--left", "wow!.png"], 1, "done"),
     plays("calibration_transposed", &["depthcal.toml", "--cal", "metres.yml"], 0, "is its translation in m?"),
     refused("calibration_transposed", &["depthcal.toml", "--cal", "transposed.yml"], "`M1` is transposed"),
-    plays("cjk_label", &["yolo.toml", "--model", "names.onnx"], 1, "has no letters for the class"),
+    plays("cjk_label", &["yolo.toml", "--model", "names.onnx"], 1, "cannot draw the class name"),
     refused("ros_unsorted", &["bag.toml", "--bag", "missing.mcap"], "missing.mcap"),
 ];
 
@@ -63,7 +63,7 @@ fn images(folder: &Path) -> Vec<PathBuf> {
     images
 }
 
-/// What is wrong with a case, if anything.
+/// What is wrong with a case; `None` if nothing.
 fn mistake(program: &Path, reports: &Path, case: &Case) -> Option<String> {
     let folder = scratch("reported");
     for entry in reports.join(case.folder).read_dir().expect("a folder").flatten() {

@@ -1,4 +1,4 @@
-//! The unit that runs a graph as a service.
+//! The systemd unit that runs a graph as a service.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,7 +7,7 @@ use panoscope_tests::{root, scratch};
 
 const UNIT: &str = "core/xtask/package/panoscope@.service";
 
-/// The text of the unit with the program replaced by one that every system has.
+/// The text of the unit, with the program replaced by one that every system has.
 fn unit() -> String {
     let text = std::fs::read_to_string(root().join(UNIT)).expect("the unit");
     text.replace("/usr/bin/panoscope run", "/bin/true run")

@@ -1,4 +1,4 @@
-//! What ships holds no plugin that only tests use, and no test reports a skip on its own.
+//! No plugin that only tests use is shipped, and no test reports a skip in its own way.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

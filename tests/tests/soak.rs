@@ -1,7 +1,7 @@
-//! Hours of a graph in minutes: `panoscope soak` runs cheap nodes as fast as they can, moves parameters, removes and returns sinks, kills an isolated
-//! process, and has a window attached that never reads. Memory, threads, open files and the frames that wait stay level.
+//! Hours of a graph in minutes: `panoscope soak` runs cheap nodes as fast as possible, changes parameters, removes and adds sinks, kills an isolated
+//! process, and has a window attached that never reads. Memory, threads, open files and waiting frames stay constant.
 //!
-//! `PANOSCOPE_SOAK_MINUTES` sets how long it runs; ten minutes make the ticks of more than twelve hours at 60 Hz.
+//! `PANOSCOPE_SOAK_MINUTES` sets the duration; ten minutes make the ticks of more than twelve hours at 60 Hz.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -13,7 +13,7 @@ use panoscope_tests::machines::{free_port, program};
 use panoscope_tests::scratch;
 use std::time::Duration;
 
-/// Every kind of edge; an isolated node; sinks that begin parts; an arm that is judged.
+/// A graph with every kind of edge, an isolated node, sinks that begin parts, and an arm that is evaluated.
 const GRAPH: &str = r#"mode = "live"
 plugins = ["flow", "phantom", "arm", "tools", "sinks"]
 
@@ -71,15 +71,15 @@ inputs = { table = "judge.table" }
 params = { path = "marks.csv" }
 "#;
 
-/// A window reads this much, and then no more.
+/// Number of bytes after which a window stops reading.
 const READ_BYTES: usize = 64 << 10;
 const MINUTES: f64 = 0.15;
 /// Memory of the phantom's scene.
 const SCENE_MB: f64 = 40.0;
-/// Samples among which some are of moments without an edit.
+/// Number of samples that includes some without an edit.
 const MIN_SAMPLES: usize = 30;
 
-/// Passes on what windows send to `to`, and the beginning of what they are sent.
+/// Forwards everything from windows to `to`, and only the beginning of the other direction.
 fn relay_that_stops(listener: TcpListener, to: u16) {
     for window in listener.incoming().map_while(Result::ok) {
         let Ok(run) = TcpStream::connect(("127.0.0.1", to)) else { continue };
@@ -128,7 +128,7 @@ fn second(line: &str) -> Option<Second> {
     })
 }
 
-/// The smallest of some values: what an edit or a new process takes for a moment is no growth.
+/// Minimum of some values: a temporary increase by an edit or a new process is not growth.
 fn least(seconds: &[Second], value: impl Fn(&Second) -> f64) -> f64 {
     seconds.iter().map(value).fold(f64::INFINITY, f64::min)
 }

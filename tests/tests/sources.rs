@@ -1,4 +1,4 @@
-//! A source that fails says where, and neither hides it nor begins again at its first picture.
+//! A source that fails names its position, does not hide the fault, and does not restart at its first frame.
 
 use std::path::{Path, PathBuf};
 
@@ -43,7 +43,7 @@ fn a_batch_ends_at_a_damaged_picture() {
     let scope = &done.report.nodes["scope"];
     assert_eq!((scope.faults, scope.restarts), (1, 0), "{:?}", done.log);
     assert_eq!(done.report.nodes["sink"].count, DAMAGED as u64);
-    assert!(done.log.iter().any(|line| line.contains("005.png") && line.contains("picture 6 of 12")), "{:?}", done.log);
+    assert!(done.log.iter().any(|line| line.contains("005.png") && line.contains("image 6 of 12")), "{:?}", done.log);
     let done = play(&folder, "batch", ", on_damage = \"skip\"");
     assert_eq!(done.report.nodes["scope"].faults, 0);
     assert_eq!(done.report.nodes["sink"].count, PICTURES as u64 - 1);

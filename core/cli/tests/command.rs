@@ -237,7 +237,7 @@ fn list_describe_dot_and_schema_tell_what_there_is() {
 
     let (code, out, _) = run(&["describe", "every_nth"]);
     assert_eq!(code, 0);
-    assert!(out.contains("n = 2 (1 to 1000000): a whole number") && out.contains("One picture in this many"), "{out}");
+    assert!(out.contains("n = 2 (1 to 1000000): a whole number") && out.contains("One frame in this many"), "{out}");
     let (code, _, err) = run(&["describe", "evry_nth"]);
     assert_eq!(code, 2);
     assert!(err.contains("did you mean `every_nth`?"), "{err}");

@@ -24,7 +24,7 @@ class ArmSerial(Node):
     table: Output[Literal["table"]]
     """One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, distance of the tube from the trocar, its depth, age of the arm's last answer."""
     text: Output[Literal["text"]]
-    """State of the arm in words."""
+    """State of the arm as text."""
 
 class ArmSim(Node):
     joints: Output[Literal["joints"]]
@@ -38,7 +38,7 @@ class ArmSim(Node):
     table: Output[Literal["table"]]
     """One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, speed and acceleration of the camera, distance of the tube from the trocar, its depth and its tilt."""
     text: Output[Literal["text"]]
-    """State of the arm in words."""
+    """State of the arm as text."""
 
 class ArmUr(Node):
     joints: Output[Literal["joints"]]
@@ -52,7 +52,7 @@ class ArmUr(Node):
     table: Output[Literal["table"]]
     """One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, distance of the tube from the trocar, its depth, age of the arm's last answer."""
     text: Output[Literal["text"]]
-    """State of the arm in words."""
+    """State of the arm as text."""
 
 class CalibrateStereo(Node):
     calibration: Output[Literal["calibration"]]
@@ -80,7 +80,7 @@ class Capture(Node):
     view3: Output[Literal["image"]]
     """View 3."""
     calibration: Output[Literal["calibration"]]
-    """Calibration of views 0 and 1, where a file is given."""
+    """Calibration of views 0 and 1, if a file is given."""
 
 class Colorize(Node):
     image: Output[Literal["image"]]
@@ -96,9 +96,9 @@ class Composite(Node):
     shown: Output[Literal["image"]]
     """View that each pixel shows: 0 none, 1 the first, 2 the second and so on."""
     gain: Output[Literal["scalar"]]
-    """How much more area the panorama covers than the first view, percent. Of a cropped one only what is lit counts."""
+    """Area of the panorama beyond that of the first view, percent. In a cropped panorama only illuminated pixels count."""
     gain_text: Output[Literal["text"]]
-    """The same as words: `+12 % over one view`. They change seldom."""
+    """The same as text: `+12 % over one view`. It changes rarely."""
 
 class CompositeMesh(Node):
     panorama: Output[Literal["image"]]
@@ -110,11 +110,11 @@ class CompositeMesh(Node):
     shown: Output[Literal["image"]]
     """View that each pixel shows: 0 none, 1 the left, 2 the right one."""
     mesh: Output[Literal["table"]]
-    """Vertices of the mesh: which point of the right view, and of the left one, each point of the panorama shows. Empty before the first mesh. With `views` those of all further views, one after the other, after the number of the view; the first view then stays as it is."""
+    """Vertices of the mesh: which pixel of the right view, and of the left one, each point of the panorama shows. Empty before the first mesh. With `views`, those of all further views one after the other, each after the number of the view; the first view is then not bent."""
     gain: Output[Literal["scalar"]]
-    """How much more area the panorama covers than the first view, percent. Of a cropped one only what is lit counts."""
+    """Area of the panorama beyond that of the first view, percent. In a cropped panorama only illuminated pixels count."""
     gain_text: Output[Literal["text"]]
-    """The same as words: `+12 % over one view`. They change seldom."""
+    """The same as text: `+12 % over one view`. It changes rarely."""
 
 class CompositeOpencv(Node):
     panorama: Output[Literal["image"]]
@@ -124,17 +124,17 @@ class CompositeOpencv(Node):
     canvas: Output[Literal["roi"]]
     """Rectangle of the left view in the panorama, px."""
     shown: Output[Literal["image"]]
-    """View that each pixel shows: 0 none, 1 the left one, 2 the right one."""
+    """View that each pixel shows: 0 none, 1 left, 2 right."""
 
 class CutViews(Node):
     left: Output[Literal["image"]]
-    """Left part of the picture, with noise."""
+    """Left part of the image, with noise."""
     right: Output[Literal["image"]]
-    """Right part under another perspective, exposure and tint, with noise."""
+    """Right part with another perspective, exposure and tint, with noise."""
     homography: Output[Literal["homography"]]
     """True homography: maps right-view pixels to left-view pixels."""
     left_in_image: Output[Literal["roi"]]
-    """Rectangle of the left view in the picture, px."""
+    """Rectangle of the left view in the image, px."""
 
 class DataSet(Node):
     left: Output[Literal["image"]]
@@ -142,17 +142,17 @@ class DataSet(Node):
     right: Output[Literal["image"]]
     """Right view."""
     calibration: Output[Literal["calibration"]]
-    """Calibration of both views, with the rectification that the truth is meant for."""
+    """Calibration of both views, with the rectification that the ground truth refers to."""
     disparity: Output[Literal["disparity"]]
     """True disparity of the left rectified view, px; NaN where unknown."""
     depth: Output[Literal["depth"]]
     """True depth of the left rectified view, mm; NaN where unknown."""
     detections: Output[Literal["detections"]]
-    """True boxes in the left view as it comes, not rectified."""
+    """True boxes in the left view as stored, not rectified."""
     instances: Output[Literal["instances"]]
-    """True boxes and masks in the left view as it comes, where the data set has masks."""
+    """True boxes and masks in the left view as stored, if the data set has masks."""
     tip: Output[Literal["tip"]]
-    """Always empty: no data set of these states tips. It is there so that graphs for the phantom's truth run unchanged."""
+    """Always empty, because none of these data sets has tips. It exists so that graphs for the phantom's ground truth run unchanged."""
 
 class DisparityFbs(Node):
     disparity: Output[Literal["disparity"]]
@@ -174,11 +174,11 @@ class DisparityWlsOpencv(Node):
     disparity: Output[Literal["disparity"]]
     """The smoothed map, px."""
     confidence: Output[Literal["confidence"]]
-    """Confidence, 0 to 1; not made by `disparity_fbs_opencv`."""
+    """Confidence, 0 to 1; empty for `disparity_fbs_opencv`."""
 
 class EvaluateArm(Node):
     table: Output[Literal["table"]]
-    """The row of this tick; errors are NaN while the tip is not known. `in_view` says whether it lies in the left picture, `seen` whether nothing hides it there. `gap_ms` is the time since the tracker saw the tip, `track_off_mm` how far off the tracker's place is; both NaN while it has none."""
+    """One row per tick; errors are NaN while the tip is not known. `in_view`: the tip is inside the left image. `seen`: nothing hides it there. `gap_ms`: time since the tracker saw the tip. `track_off_mm`: error of the tracker's position. Both are NaN while the tracker has no tip."""
 
 class EvaluateCloud(Node):
     median_mm: Output[Literal["scalar"]]
@@ -206,9 +206,9 @@ class EvaluateDepth(Node):
 
 class EvaluateDetections(Node):
     precision_pct: Output[Literal["scalar"]]
-    """Percent of the detections of at least `min_score` that meet an object of their class at an overlap of 0.5."""
+    """Percentage of the detections of at least `min_score` that match an object of their class with an overlap of 0.5."""
     recall_pct: Output[Literal["scalar"]]
-    """Percent of the objects that are met by such a detection."""
+    """Percentage of the objects that are matched by such a detection."""
     ap50_pct: Output[Literal["scalar"]]
     """COCO's average precision at an overlap of 0.5, over all scores, mean of the classes that have objects."""
     table: Output[Literal["table"]]
@@ -232,15 +232,15 @@ class EvaluateDisparity(Node):
 
 class EvaluateMosaic(Node):
     table: Output[Literal["table"]]
-    """A row for every tick so far; NaN where the frame has no position. `state`: 0 fresh, 2 lost, 3 none. `drift_px`: root mean square distance, over the frame, between where the mosaic puts its points and where the camera of the first frame would see them; `drift_mm`: the same on the tissue; `drift_pct`: of the camera's path so far. `floor_px`: what the best homography leaves, 0 for a plane. `start_mm`: distance of the camera from where it began."""
+    """A row for every tick so far; NaN where the frame has no position. `state`: 0 fresh, 2 lost, 3 none. `drift_px`: root mean square distance, over the frame, between where the mosaic puts its points and where the camera of the first frame would see them; `drift_mm`: the same on the tissue; `drift_pct`: the same as a percentage of the camera's path so far. `floor_px`: residual of the best homography, 0 for a plane. `start_mm`: distance of the camera from its first position."""
 
 class EvaluateProximity(Node):
     table: Output[Literal["table"]]
-    """Counts since the start, for all tips together. The first row takes thresholds exactly, the second one tolerates `margin_mm` around them. Columns for warnings of tissue, then of other tips."""
+    """Counts since the start, for all tips together. The first row applies the thresholds exactly, the second one tolerates `margin_mm` around them. Columns for warnings of tissue, then of other tips."""
 
 class EvaluateStitch(Node):
     table: Output[Literal["table"]]
-    """A row for every tick so far; NaN where there is no truth. `state`: 0 fresh, 1 held, 2 lost, 3 none. Areas over that of the left view: `fov_pct` is covered by the panorama, `fov_truth_pct` lies in the footprint of all cameras, `fov_right_pct` in both."""
+    """A row for every tick so far; NaN where there is no ground truth. `state`: 0 fresh, 1 held, 2 lost, 3 none. Areas relative to that of the left view: `fov_pct` is covered by the panorama, `fov_truth_pct` by the footprint of all cameras, `fov_right_pct` by both."""
 
 class EveryNth(Node):
     image: Output[Literal["image"]]
@@ -272,19 +272,19 @@ class Gate(Node):
 
 class IgtlReceive(Node):
     image: Output[Literal["image"]]
-    """IMAGE: a picture of one slice. 8 bits with one component are gray8, with three bgr8, with four rgba8; 16 bits gray16; other numbers of one component f32. Parts of a picture are put into the one before."""
+    """IMAGE of one slice. 8 bits with one component are gray8, with three bgr8, with four rgba8; 16 bits are gray16; other numbers of one component f32. A partial image is merged into the previous one."""
     pose: Output[Literal["pose"]]
-    """TRANSFORM that is a rotation and a translation, POSITION with an orientation, the first tool of TDATA."""
+    """TRANSFORM that is a rotation and a translation, POSITION with an orientation, or the first tool of TDATA."""
     points: Output[Literal["table"]]
-    """POINT, POSITION, the tools of TDATA, the translation of TRANSFORM: a row per point with its place and its radius in mm."""
+    """POINT, POSITION, the tools of TDATA, or the translation of TRANSFORM: a row per point with position and radius in mm."""
     names: Output[Literal["text"]]
-    """Names of the rows of `points`, one a line: those of the points or tools, or the device name."""
+    """Names of the rows of `points`, one per line: those of the points or tools, or the device name."""
     cloud: Output[Literal["cloud"]]
-    """POLYDATA: its points, in one row, with their colours where it has any."""
+    """POLYDATA: its points, in one row, with their colours if it has any."""
     text: Output[Literal["text"]]
     """STRING, and the text of STATUS."""
     status: Output[Literal["scalar"]]
-    """STATUS: its code; 1 is well."""
+    """Code of STATUS; 1 is OK."""
 
 class Level(Node):
     level: Output[Literal["scalar"]]
@@ -294,11 +294,11 @@ class Level(Node):
 
 class MaskRcnn(Node):
     instances: Output[Literal["instances"]]
-    """Boxes and masks in px of the picture, highest score first, with their labels."""
+    """Boxes and masks in px of the image, highest score first, with their labels."""
     unlikeness: Output[Literal["scalar"]]
-    """How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above."""
+    """How unlike the model's training images the last images are, smoothed, as a share of the model's limit. From 1 on the model is unreliable for such images. Empty if the model has no image statistics. Metric `unlike` is 1 while it is above."""
     text: Output[Literal["text"]]
-    """What a screen says while the images are too unlike those that the model learned from; else empty text."""
+    """Message for a screen while the images are too unlike the training images; otherwise empty text."""
 
 class Measure(Node):
     table: Output[Literal["table"]]
@@ -308,25 +308,25 @@ class Measure(Node):
 
 class Mosaic(Node):
     mosaic: Output[Literal["image"]]
-    """The mosaic; black where nothing was seen."""
+    """The mosaic; black where nothing has been seen."""
     homography: Output[Literal["homography"]]
-    """Maps pixels of this frame to those of the first keyframe. State: fresh, or lost (then the last good map)."""
+    """Maps pixels of this frame to those of the first keyframe. State: fresh, or lost (with the last good map)."""
     view: Output[Literal["homography"]]
     """Maps pixels of the first keyframe to those of `mosaic`."""
     table: Output[Literal["table"]]
-    """One row per tick. `state`: 0 fresh, 2 lost. `coverage_pct`: area of the keyframes in percent of one frame. `drift_px`, `drift_pct`: error of the last closed loop before it was distributed, and in percent of the loop's length; NaN before any. `spread_px`: distance of the keyframes' shared points after the last adjustment."""
+    """One row per tick. `state`: 0 fresh, 2 lost. `coverage_pct`: area of the keyframes in percent of one frame. `drift_px`, `drift_pct`: error of the last closed loop before it was distributed, in px and as a percentage of the loop's length; NaN before the first one. `spread_px`: distance of the keyframes' shared points after the last adjustment."""
     text: Output[Literal["text"]]
-    """The same as text, one line each."""
+    """The main figures as text, one line each."""
 
 class Onnx(Node):
     disparity: Output[Literal["disparity"]]
-    """Px of the image, positive, NaN = unknown."""
+    """Disparity, px of the image, positive, NaN = unknown."""
     depth: Output[Literal["depth"]]
-    """Millimetres, NaN = unknown."""
+    """Depth, mm, NaN = unknown."""
     mask: Output[Literal["mask"]]
-    """255 where the network says so."""
+    """Mask: 255 inside."""
     confidence: Output[Literal["confidence"]]
-    """0 to 1."""
+    """Confidence, 0 to 1."""
     detections: Output[Literal["detections"]]
     """Boxes in px of the image, highest score first, with their labels."""
     flow_x: Output[Literal["image"]]
@@ -334,11 +334,11 @@ class Onnx(Node):
     flow_y: Output[Literal["image"]]
     """Motion downwards, px of the image."""
     image: Output[Literal["image"]]
-    """Image that the network makes: bgr8 where it has three channels, gray8 where it has one."""
+    """Image that the network outputs: bgr8 if it has three channels, gray8 if it has one."""
 
 class Overlay(Node):
     image: Output[Literal["image"]]
-    """The picture with everything drawn on it. The input's own buffer when there is nothing to draw."""
+    """The image with everything drawn on it. The input's own buffer when there is nothing to draw."""
 
 class Pass(Node):
     image: Output[Literal["image"]]
@@ -372,39 +372,39 @@ class Phantom(Node):
     pose: Output[Literal["pose"]]
     """True pose of the left camera in the scene."""
     homography: Output[Literal["homography"]]
-    """Plane homography that fits the true correspondences best."""
+    """Plane homography that best fits the true correspondences."""
     wide: Output[Literal["image"]]
-    """Picture of one ideal camera with a larger sensor at the left camera's position."""
+    """Image of one ideal camera with a larger sensor at the left camera's position."""
     footprint: Output[Literal["mask"]]
-    """255 in each pixel of `wide` whose tissue lies inside the picture of at least one camera."""
+    """255 in each pixel of `wide` whose tissue is inside the image of at least one camera."""
     detections: Output[Literal["detections"]]
-    """True boxes of the instruments seen in the left view."""
+    """True boxes of the instruments visible in the left view."""
     instances: Output[Literal["instances"]]
-    """True boxes and masks of the instruments seen in the left view."""
+    """True boxes and masks of the instruments visible in the left view."""
     tip: Output[Literal["tip"]]
-    """True tip of the largest instrument whose tip is seen; empty when none is."""
+    """True tip of the largest instrument with a visible tip; empty if there is none."""
     lead: Output[Literal["tip"]]
-    """True tip of the first instrument, also while it is not seen: score 1 while it is seen, 0 while it is hidden or outside the left view. Empty behind the camera and without instruments."""
+    """True tip of the first instrument, whether visible or not. Score 1: visible; 0: hidden or outside the left view. Empty behind the camera and without instruments."""
     second: Output[Literal["tip"]]
     """True tip of the second instrument, as `lead`."""
     clearance: Output[Literal["table"]]
-    """One row per instrument: position of its tip (mm), whether it is seen, and its distances to the tissue and to the nearest other tip (mm)."""
+    """One row per instrument: position of its tip (mm), whether it is visible, and its distances to the tissue and to the nearest other tip (mm)."""
 
 class Proximity(Node):
     table: Output[Literal["table"]]
-    """One row per tip: its number and class, its pixel and position (mm), distance to the tissue (mm) and the pixel of the nearest point, whether that point is seen or hidden behind an instrument, and the state: -1 unknown, 0 clear, 1 near, 2 contact; distance to the nearest other tip (mm), its number, and the state: 0 clear, 1 near; age of the surface (ms). `overlay` draws it."""
+    """One row per tip: number and class; pixel and position (mm); distance to the tissue (mm) and pixel of the nearest point; whether that point is visible or hidden behind an instrument; state: -1 unknown, 0 clear, 1 near, 2 contact; distance to the nearest other tip (mm), its number, and the state: 0 clear, 1 near; age of the surface (ms). `overlay` draws it."""
     text: Output[Literal["text"]]
     """The warnings, one per line; empty when there is none."""
 
 class ReadLabels(Node):
     detections: Output[Literal["detections"]]
-    """The true boxes: score 1, or 0 for objects that are marked as difficult."""
+    """The true boxes, with score 1, or 0 for objects that are marked as difficult."""
 
 class ReadMaps(Node):
     disparity: Output[Literal["disparity"]]
-    """Disparity of the picture, if `holds` is `disparity`; NaN where the file has 0, a negative number or none."""
+    """Disparity of the image, if `holds` is `disparity`; NaN where the file has 0, a negative number or none."""
     depth: Output[Literal["depth"]]
-    """Depth of the picture, if `holds` is `depth`; NaN as above."""
+    """Depth of the image, if `holds` is `depth`; NaN where the file has 0, a negative number or none."""
 
 class Rectify(Node):
     left: Output[Literal["image"]]
@@ -422,9 +422,9 @@ class RegisterGrid(Node):
     homography: Output[Literal["homography"]]
     """Maps right-view pixels to left-view pixels, with its state: fresh, held or lost."""
     roi_left: Output[Literal["roi"]]
-    """Part of the left view that the right view shows too."""
+    """Part of the left view that the right view also shows."""
     roi_right: Output[Literal["roi"]]
-    """Part of the right view that the left view shows too."""
+    """Part of the right view that the left view also shows."""
 
 class RegisterOpencv(Node):
     homography: Output[Literal["homography"]]
@@ -434,9 +434,9 @@ class RegisterSurf(Node):
     homography: Output[Literal["homography"]]
     """Maps right-view pixels to left-view pixels, with its state: fresh, held or lost."""
     roi_left: Output[Literal["roi"]]
-    """Part of the left view that the right view shows too."""
+    """Part of the left view that the right view also shows."""
     roi_right: Output[Literal["roi"]]
-    """Part of the right view that the left view shows too."""
+    """Part of the right view that the left view also shows."""
 
 class Reproject(Node):
     cloud: Output[Literal["cloud"]]
@@ -450,7 +450,7 @@ class Ros2Bag(Node):
     right: Output[Literal["image"]]
     """Right view of the same instant."""
     calibration: Output[Literal["calibration"]]
-    """Both cameras, with every picture, as soon as both camera_info topics had a message."""
+    """Both cameras, with every image, once both camera_info topics had a message."""
     depth: Output[Literal["depth"]]
     """Depth of the left rectified view, mm; NaN where unknown."""
     disparity: Output[Literal["disparity"]]
@@ -458,7 +458,7 @@ class Ros2Bag(Node):
     cloud: Output[Literal["cloud"]]
     """Points, mm, in the frame of the message."""
     detections: Output[Literal["detections"]]
-    """Boxes."""
+    """Detected boxes."""
     pose: Output[Literal["pose"]]
     """A pose, mm."""
     joints: Output[Literal["joints"]]
@@ -470,7 +470,7 @@ class Ros2Subscribe(Node):
     right: Output[Literal["image"]]
     """Right view of the same instant."""
     calibration: Output[Literal["calibration"]]
-    """Both cameras, with every picture, as soon as both camera_info topics had a message."""
+    """Both cameras, with every image, once both camera_info topics had a message."""
     depth: Output[Literal["depth"]]
     """Depth of the left rectified view, mm; NaN where unknown."""
     disparity: Output[Literal["disparity"]]
@@ -478,7 +478,7 @@ class Ros2Subscribe(Node):
     cloud: Output[Literal["cloud"]]
     """Points, mm, in the frame of the message."""
     detections: Output[Literal["detections"]]
-    """Boxes."""
+    """Detected boxes."""
     pose: Output[Literal["pose"]]
     """A pose, mm."""
     joints: Output[Literal["joints"]]
@@ -486,15 +486,15 @@ class Ros2Subscribe(Node):
 
 class Screen(Node):
     image: Output[Literal["image"]]
-    """The whole screen, always of the same size."""
+    """The complete screen, always of the same size."""
 
 class SideBySide(Node):
     image: Output[Literal["image"]]
-    """All pictures in a grid."""
+    """All images in a grid."""
 
 class Skill(Node):
     table: Output[Literal["table"]]
-    """One row per tool and phase: number and class of the tool, number of the phase (-1: all phases), then all measures since the start. Times count from the tool's first picture."""
+    """One row per tool and phase: number and class of the tool, number of the phase (-1: all phases), then all measures since the start. Times count from the tool's first frame."""
     pairs: Output[Literal["table"]]
     """One row per pair of tools: their numbers, time with both in view, time with both moving, share of the movement made together, correlation of their speeds."""
     text: Output[Literal["text"]]
@@ -502,7 +502,7 @@ class Skill(Node):
 
 class Smooth(Node):
     image: Output[Literal["image"]]
-    """The weighted mean of picture and past."""
+    """Weighted mean of `image` and `past`."""
 
 class StereoBm(Node):
     disparity: Output[Literal["disparity"]]
@@ -516,7 +516,7 @@ class StereoOpencv(Node):
     disparity: Output[Literal["disparity"]]
     """Pixels of the left rectified view; NaN where unmatched."""
     disparity_right: Output[Literal["disparity"]]
-    """The same from the right view's pixels, positive."""
+    """The same for the right view's pixels, positive."""
 
 class StereoSgbm(Node):
     disparity: Output[Literal["disparity"]]
@@ -534,35 +534,35 @@ class TipTrack(Node):
 
 class ToolTip(Node):
     tip: Output[Literal["tip"]]
-    """Tip of the leading tool; between open jaws the middle of both ends. Where masks and depth show that another tool hides one of two jaws, the tip is found from the other jaw and the shaft's axis, for 10 s after both were seen. Empty when no tool is found, or when another tool hides its whole end."""
+    """Tip of the leading tool; between open jaws the middle of both ends. Where masks and depth show that another tool hides one of two jaws, the tip is computed from the other jaw and the shaft's axis, for 10 s after both were seen. Empty when no tool is found, or when another tool hides its complete end."""
     hidden: Output[Literal["tip"]]
-    """Where the leading tool seems to end while another tool hides its whole end: px, without a position in space. Empty otherwise. `tip_track` keeps following a tool that is reported here."""
+    """Apparent end of the leading tool while another tool hides its complete end: px, without a position in space. Otherwise empty. `tip_track` keeps following a tool that is reported here."""
 
 class Trajectory(Node):
     image: Output[Literal["image"]]
-    """The picture with the trajectory drawn."""
+    """The image with the trajectory drawn on it."""
     text: Output[Literal["text"]]
-    """Size of the box in words. Where this is connected, they are not drawn on the picture."""
+    """Size of the box as text. If this is connected, the text is not drawn on the image."""
 
 class Transpose(Node):
     image: Output[Literal["image"]]
-    """The picture, mirrored at its diagonal."""
+    """The image, mirrored at its diagonal."""
     disparity: Output[Literal["disparity"]]
-    """The map, mirrored at its diagonal; its values stay."""
+    """The map, mirrored at its diagonal; its values do not change."""
 
 class Turntable(Node):
     image: Output[Literal["image"]]
-    """The surface from the side, with a ruler while lengths are known."""
+    """The surface seen from the side, with a ruler while lengths are known."""
 
 class Yolo(Node):
     detections: Output[Literal["detections"]]
-    """Boxes in px of the picture, highest score first, with their labels. Where the model carries a calibration, scores are probabilities, and the last label is `unknown`: an instrument whose kind is not sure."""
+    """Boxes in px of the image, highest score first, with their labels. If the model has a calibration, scores are probabilities, and the last label is `unknown`: an instrument of uncertain kind."""
     unlikeness: Output[Literal["scalar"]]
-    """How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above."""
+    """How unlike the model's training images the last images are, smoothed, as a share of the model's limit. From 1 on the model is unreliable for such images. Empty if the model has no image statistics. Metric `unlike` is 1 while it is above."""
     text: Output[Literal["text"]]
-    """What a screen says while the images are too unlike those that the model learned from; else empty text."""
+    """Message for a screen while the images are too unlike the training images; otherwise empty text."""
     tip0: Output[Literal["tip"]]
-    """First keypoint of the box with the highest score, in px, without a position in space. Empty where the model gives no keypoints or finds nothing."""
+    """First keypoint of the box with the highest score, in px, without a position in space. Empty if the model outputs no keypoints or finds nothing."""
     tip1: Output[Literal["tip"]]
     """Second keypoint of that box."""
     tip2: Output[Literal["tip"]]
@@ -570,7 +570,7 @@ class Yolo(Node):
     tip3: Output[Literal["tip"]]
     """Fourth keypoint of that box."""
     keypoints: Output[Literal["table"]]
-    """All keypoints of all boxes: a row each, with the number of its box in `detections`, its own number, its position in px and its score. Empty where the model gives no keypoints."""
+    """All keypoints of all boxes, one per row: index of its box in `detections`, index of the keypoint, position in px, score. Empty if the model outputs no keypoints."""
 
 class NodeTypes:
     def arm_pid(
@@ -600,23 +600,23 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> ArmPid:
-        """Requests joint velocities about the trocar that bring the tip to the centre of the shared picture and to its distance.
+        """Requests joint velocities about the trocar that bring the tip to the centre of the shared image and to its distance.
 
         tip: The tip to follow, in the left rectified camera's frame, mm. Empty: no velocities are requested.
-        joints: Joint angles when the picture was taken: the driver's `joints`, wired with `delay = 1`.
-        setpoint: The driver's newest set-points, wired with `delay = 1`. With them the controller takes set-points into account that the arm has not reached yet.
+        joints: Joint angles when the image was taken: the driver's `joints`, wired with `delay = 1`.
+        setpoint: Newest set-points of the driver, wired with `delay = 1`. With them the controller accounts for set-points that the arm has not reached yet.
         calibration: Calibration of the rectified views; without it `focal_px` and `baseline_mm` are used.
         arm: URDF file of the arm; empty takes the arm that comes with the plugin. The driver must use the same. (default "")
         distance_mm: Distance of the tip from the left camera. (30 to 120 mm; default 66)
-        picture_p: Proportional gain of the tip's position in the picture, 1/s. (0 to 20; default 6)
-        picture_i: Integral gain of the tip's position in the picture, 1/s^2. (0 to 10; default 0.2)
-        picture_d: Derivative gain of the tip's measured position in the picture: a new goal causes no kick. (0 to 1; default 0.2)
+        picture_p: Proportional gain of the tip's position in the image, 1/s. (0 to 20; default 6)
+        picture_i: Integral gain of the tip's position in the image, 1/s^2. (0 to 10; default 0.2)
+        picture_d: Derivative gain on the tip's measured position in the image. A new goal causes no kick, because the goal is not differentiated. (0 to 1; default 0.2)
         distance_p: Proportional gain of the distance, 1/s. (0 to 20; default 6)
         distance_i: Integral gain of the distance, 1/s^2. (0 to 10; default 0.2)
-        distance_d: Derivative gain of the measured distance. (0 to 1; default 0.2)
+        distance_d: Derivative gain on the measured distance. (0 to 1; default 0.2)
         filter_s: Time constant of the low-pass filter of the derivatives. (0 to 1 s; default 0.08)
         feed_forward: Share of the tip's own velocity that is fed forward. (0 to 1 ratio; default 1)
-        dead_zone_px: Dead zone of the error in the picture, for 640 columns. (0 to 50 px; default 2)
+        dead_zone_px: Dead zone of the error in the image, for 640 columns. (0 to 50 px; default 2)
         dead_zone_mm: Dead zone of the error of the distance. (0 to 10 mm; default 0.2)
         latency_s: Time from a set-point to the movement. (0 to 0.5 s; default 0.045)
         tip_acceleration: Standard deviation of the tip's unknown acceleration, mm/s^2. Higher values follow faster and are less smooth. (1 to 5000; default 80)
@@ -641,18 +641,18 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> ArmSerial:
-        """A six-axis arm on a serial line. A process of its own guards it and stops it whatever the program does.
+        """A six-axis arm on a serial line. A separate process guards it and stops it whatever the program does.
 
         joints: Requested joint velocities, from `arm_pid`.
         tip: Tip that the arm follows, straight from `tip_track`. The arm moves only while fresh tips arrive.
         port: Device of the serial line, such as /dev/ttyUSB0. (default "/dev/ttyUSB0")
         baud: Bits per second. (9600 to 4000000; default 921600)
-        answer_ms: Longest time without an answer of the arm; after it the arm is stopped. (10 to 250 ms; default 30)
+        answer_ms: Time limit for an answer of the arm. After it the arm is stopped. (10 to 250 ms; default 30)
         arm: URDF file of the arm; empty takes the arm that comes with the plugin. (default "")
         enabled: Lets the arm move after `reset` has released it. Off: requested velocities are ignored. (default False)
         emergency_stop: Stops the arm. It stays stopped when this is switched off again, until `reset` changes. (default False)
         reset: A change of this number releases a latched stop. The driver of a real arm then also opens a lost connection again. (0 to 1000000000; default 0)
-        max_age_ms: Age of its light up to which a tip is followed, by the host's clock. The arm stops when no younger one has arrived. A predicted tip is as old as the picture in which it was last seen. (10 to 300 ms; default 150)
+        max_age_ms: Maximum age of a tip's light, by the host's clock. The arm stops when no younger tip has arrived. A predicted tip is as old as the image in which it was last seen. (10 to 300 ms; default 150)
         min_score: Lowest score of a tip that is followed. The score of a predicted tip falls with time. (0.01 to 1 ratio; default 0.3)"""
 
     def arm_sim(
@@ -679,7 +679,7 @@ class NodeTypes:
         arm: URDF file of the arm; empty takes the arm that comes with the plugin. (default "")
         emergency_stop: Stops the arm. It stays stopped when this is switched off again, until `reset` changes. (default False)
         reset: A change of this number releases a latched stop. The driver of a real arm then also opens a lost connection again. (0 to 1000000000; default 0)
-        max_age_ms: Age of its light up to which a tip is followed, by the host's clock. The arm stops when no younger one has arrived. A predicted tip is as old as the picture in which it was last seen. (10 to 300 ms; default 150)
+        max_age_ms: Maximum age of a tip's light, by the host's clock. The arm stops when no younger tip has arrived. A predicted tip is as old as the image in which it was last seen. (10 to 300 ms; default 150)
         min_score: Lowest score of a tip that is followed. The score of a predicted tip falls with time. (0.01 to 1 ratio; default 0.3)
         latency_ms: Time from a set-point until the motors receive it. (1 to 500 ms; default 50)
         lag_ms: Time constant of the motors. (1 to 500 ms; default 15)
@@ -705,20 +705,20 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> ArmUr:
-        """A Universal Robots arm over RTDE. A process of its own guards it and stops it whatever the program does.
+        """A Universal Robots arm over RTDE. A separate process guards it and stops it whatever the program does.
 
         joints: Requested joint velocities, from `arm_pid`.
         tip: Tip that the arm follows, straight from `tip_track`. The arm moves only while fresh tips arrive.
         host: Name or address of the robot's controller. (default "192.168.0.10")
         port: TCP port of the controller's RTDE interface. (1 to 65535; default 30004)
-        dashboard_port: TCP port of the controller's dashboard server, which gives the serial number. (1 to 65535; default 29999)
-        answer_ms: Longest time without an answer of the arm; after it the arm is stopped. (10 to 250 ms; default 30)
-        arm: URDF file of the robot as it stands, with scope and trocar. There is no default: limits of another arm would not be its limits. (default "")
-        home_deg: The robot's six joint angles, in degrees as the pendant shows them and separated by commas, where the angles of the URDF file are 0. (default "0, 0, 0, 0, 0, 0")
+        dashboard_port: TCP port of the controller's dashboard server, from which the serial number is read. (1 to 65535; default 29999)
+        answer_ms: Time limit for an answer of the arm. After it the arm is stopped. (10 to 250 ms; default 30)
+        arm: URDF file of the robot as mounted, with scope and trocar. There is no default: the limits of another arm would not hold for this one. (default "")
+        home_deg: The robot's six joint angles at which the angles of the URDF file are 0: in degrees as the pendant shows them, separated by commas. (default "0, 0, 0, 0, 0, 0")
         enabled: Lets the arm move after `reset` has released it. Off: requested velocities are ignored. (default False)
         emergency_stop: Stops the arm. It stays stopped when this is switched off again, until `reset` changes. (default False)
         reset: A change of this number releases a latched stop. The driver of a real arm then also opens a lost connection again. (0 to 1000000000; default 0)
-        max_age_ms: Age of its light up to which a tip is followed, by the host's clock. The arm stops when no younger one has arrived. A predicted tip is as old as the picture in which it was last seen. (10 to 300 ms; default 150)
+        max_age_ms: Maximum age of a tip's light, by the host's clock. The arm stops when no younger tip has arrived. A predicted tip is as old as the image in which it was last seen. (10 to 300 ms; default 150)
         min_score: Lowest score of a tip that is followed. The score of a predicted tip falls with time. (0.01 to 1 ratio; default 0.3)"""
 
     def calibrate_stereo(
@@ -780,26 +780,26 @@ class NodeTypes:
     ) -> Capture:
         """Views of cameras, video files, images or GStreamer pipelines, taken together.
 
-        left: Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address (rtsp://..., or rtspt://... for TCP; a password as ${PANOSCOPE_SECRET_NAME}, an environment variable), or GStreamer pipeline (any text with !). Pictures of folders and patterns are paired by the numbers in their names, videos by time, live views by their arrival. (default "")
+        left: Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address (rtsp://..., or rtspt://... for TCP; a password as ${PANOSCOPE_SECRET_NAME}, an environment variable), or GStreamer pipeline (any text with !). Images of folders and patterns are paired by the numbers in their names, videos by time, live views by arrival. (default "")
         right: Right view, as `left`. (default "")
         views: Up to four views instead of `left` and `right`, separated by semicolons. (default "")
-        split: Splits one picture into both views; give `left` only. (default "none")
-        crop: Crop in px: x, y, width, height once for all views, or once for each. Width or height 0 reaches to the edge. Pictures are split first. (default [])
-        loop: Starts files again at their end. Without it a single image is one tick in batch mode. (default False)
-        rate_hz: Pictures per second of media time, for all views. 0 takes the times in the videos, and 30 per second for images. (0 to 1000 Hz; default 0)
-        pace: When to hold pictures back to their rate. Cameras keep their own pace. (default "auto")
+        split: Splits one frame into both views; give `left` only. (default "none")
+        crop: Crop in px: x, y, width, height, once for all views or once for each. A width or height of 0 extends to the edge. Frames are split first. (default [])
+        loop: Repeats files from the start. Without it a single image is one tick in batch mode. (default False)
+        rate_hz: Frames per second of media time, for all views. 0: the times in the videos, and 30 per second for images. (0 to 1000 Hz; default 0)
+        pace: When to hold frames back to their rate. Cameras keep their own pace. (default "auto")
         frames: Number of ticks after which the source ends; 0 never ends it. (0 to 1000000000 frames; default 0)
-        width: Columns requested from cameras; 0 leaves their mode. (0 to 16384 px; default 0)
-        height: Rows requested from cameras; 0 leaves their mode. (0 to 16384 px; default 0)
-        fps: Pictures per second requested from cameras; 0 leaves their mode. (0 to 1000 Hz; default 0)
-        lock_exposure: Locks exposure and gain of all cameras at the values of view 0 after `lock_after` pictures. (default False)
-        lock_white_balance: Locks the white balance of all cameras at the value of view 0 after `lock_after` pictures. (default False)
-        lock_after: Number of pictures after which exposure and white balance are locked. (0 to 10000 frames; default 30)
-        on_damage: How a damaged picture of a file is handled. Damaged pictures of live sources are counted and leave their tick empty. (default "fail")
-        orientation: How pictures are turned whose file says that they are to be (EXIF of images, the display matrix of videos). (default "upright")
-        bit_depth: Bit depth of pictures with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it. (0 to 16; default 0)
-        tolerance_ms: Largest difference of the times of pictures that belong together. 0 is half a period of the fastest view. (0 to 10000 ms; default 0)
-        timeout_s: A camera, stream or live pipeline without data for this long is lost: it is opened again until it is back. (0.1 to 60 s; default 1)
+        width: Width requested from cameras; 0 keeps their mode. (0 to 16384 px; default 0)
+        height: Height requested from cameras; 0 keeps their mode. (0 to 16384 px; default 0)
+        fps: Frame rate requested from cameras; 0 keeps their mode. (0 to 1000 Hz; default 0)
+        lock_exposure: Locks exposure and gain of all cameras at the values of view 0 after `lock_after` frames. (default False)
+        lock_white_balance: Locks the white balance of all cameras at the value of view 0 after `lock_after` frames. (default False)
+        lock_after: Number of frames after which exposure and white balance are locked. (0 to 10000 frames; default 30)
+        on_damage: What happens when a frame of a file is damaged. Damaged frames of live sources are counted and leave their tick empty. (default "fail")
+        orientation: Whether frames are rotated as their metadata says (EXIF of images, the display matrix of videos). (default "upright")
+        bit_depth: Bit depth of frames with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it. (0 to 16; default 0)
+        tolerance_ms: Maximum time between frames that belong together. 0: half a period of the fastest view. (0 to 10000 ms; default 0)
+        timeout_s: A camera, stream or live pipeline without data for this long is lost; it is reopened until it is back. (0.1 to 60 s; default 1)
         open_limit_s: Time limit for opening a camera, stream or pipeline. (0.1 to 600 s; default 10)
         calibration: Calibration file of the first two views: OpenCV's FileStorage YAML, a Kalibr camera chain, or the file of KITTI, Middlebury, StereoMIS or EndoVis; the two files of ROS (left; right), of OpenCV's sample or of Hamlyn (intrinsics; extrinsics) are separated by a semicolon. (default "")"""
 
@@ -824,13 +824,13 @@ class NodeTypes:
         disparity: Disparity in px.
         depth: Depth in mm.
         confidence: Confidence, 0 to 1.
-        drifted: Above 0 while the calibration does not fit the views, as a matcher reports: the scale of depths then says near and far instead of mm.
-        low: Value of the first colour. When `high` is not above it, the range is that of the picture in round numbers; it is held as long as it suits. (-100000 to 100000; default 0)
+        drifted: Above 0 while the calibration does not fit the views, as a matcher reports it. The scale of depths then shows near and far instead of mm.
+        low: Value of the first colour. When `high` is not greater, the range is that of the image, rounded; it is held as long as it fits. (-100000 to 100000; default 0)
         high: Value of the last colour. (-100000 to 100000; default 0)
-        colors: Colours. (default "rainbow")
+        colors: Colour map. (default "rainbow")
         scale_bar: Draws the colour scale with its values. (default True)
-        scale_beside: Puts the scale in a strip to the right of the map instead of onto it: the picture is wider, and its coordinates stay. (default False)
-        wanted_width: Width that a small map with its scale beside it is enlarged to, by the nearest whole factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)"""
+        scale_beside: Puts the scale in a strip to the right of the map instead of on it: the image is wider, and its coordinates do not change. (default False)
+        wanted_width: Width to which a small map with its scale next to it is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)"""
 
     def composite(
         self,
@@ -869,35 +869,35 @@ class NodeTypes:
     ) -> Composite:
         """Warps overlapping views onto one plane, finds the seam between them and blends them there.
 
-        left: Left view; the panorama lies in its plane.
+        left: Left view; the panorama is in its plane.
         right: Right view of the same instant.
         homography: Maps right-view pixels to left-view pixels.
-        views: Two to eight views instead of `left` and `right`; the panorama lies in the plane of the first.
+        views: Two to eight views instead of `left` and `right`; the panorama is in the plane of the first.
         homographies: One homography for each further view of `views`, which maps its pixels to the first view's.
-        mask_left: What of `left` is lit, not 0: only that is shown, compared and blended. Without it all is.
-        mask_right: What of `right` is lit.
-        masks: What of each of `views` is lit, in their order. Without them all is.
+        mask_left: Nonzero where `left` is illuminated: only those pixels are shown, compared and blended. Unconnected: all pixels.
+        mask_right: Nonzero where `right` is illuminated.
+        masks: Nonzero where each of `views` is illuminated, in their order. Unconnected: all pixels.
         seam: Method that finds the seam between two views. (default "graph_cut")
-        seam_scale: Factor by which the overlap is shrunk before the seam is found; 1 finds it at full size. 0 finds the factor from the width of the views: 10 up to 1280 px, 15 for 1920, 30 for 3840. (0 to 64; default 0)
-        seam_interval: Largest number of frames before the seam is found again. (1 to 10000 frames; default 15)
+        seam_scale: Factor by which the overlap is reduced before the seam is found; 1 finds it at full size. 0 selects the factor by the width of the views: 10 up to 1280 px, 15 for 1920, 30 for 3840. (0 to 64; default 0)
+        seam_interval: Maximum number of frames before the seam is found again. (1 to 10000 frames; default 15)
         seam_cost: Cost of the seam between two pixels. (default "color_gradient")
-        seam_hold: Colour difference that a new seam must gain over the previous one; 0 ignores the previous seam. (0 to 20 levels; default 0.5)
+        seam_hold: Minimum improvement in colour difference for a new seam to replace the previous one; 0 ignores the previous seam. (0 to 20 levels; default 0.5)
         blend: Blending of the views along the seam. (default "multi_band")
         blend_px: Width of the transition across the seam. (0 to 256 px; default 32)
         exposure: Exposure correction. (default "channel_gain")
         canvas_width: Width of the panorama; 0 takes it from the first good registration. (0 to 8192 px; default 0)
         canvas_height: Height of the panorama; 0 takes it from the first good registration. (0 to 8192 px; default 0)
         canvas_margin: Margin around the first good registration, so that the canvas need not move. (0 to 512 px; default 16)
-        canvas_grow: Number of frames in a row that must leave the canvas before it grows; 0 never grows it. (0 to 10000 frames; default 0)
-        crop: Which part of the plane the panorama shows. A crop is held: its size changes in steps, seldom. Without effect beside a fixed width and height. (default "none")
-        crop_hold: Time for which a larger part must have been covered before a cropped panorama grows, or a bounding box must have been off before it changes. (0 to 60 s; default 4)
-        border: What becomes of the outer border of the panorama. (default "as_is")
+        canvas_grow: Number of consecutive frames that must leave the canvas before it grows; 0 never grows it. (0 to 10000 frames; default 0)
+        crop: Region of the plane that the panorama shows. A crop is held: its size changes rarely, in steps. Has no effect with a fixed width and height. (default "none")
+        crop_hold: Time for which a larger region must have been covered before a cropped panorama grows, or a bounding box must have been wrong before it changes. (0 to 60 s; default 4)
+        border: Treatment of the panorama's outer border. (default "as_is")
         border_px: Width of a fading border. (1 to 512 px; default 24)
         up_cue: Draws an arrow that points up in the left view. (default False)
-        up_deg: Direction of up in the left view, clockwise from the picture's top. (-180 to 180 deg; default 0)
+        up_deg: Direction of up in the left view, clockwise from the top of the image. (-180 to 180 deg; default 0)
         mark_lost: Marks frames whose registration is lost. (default True)
         on_lost: Output while a frame's registration is lost or implausible. (default "last")
-        device: What draws panoramas of two views, up to the transition along the seam. A GPU rounds positions differently now and then, by 1/64 px; it pays for views of 1920x1080 and more. Without one, and for more views, the processor draws. (default "cpu")"""
+        device: What draws panoramas of two views, up to the transition along the seam. A GPU sometimes rounds positions differently, by 1/64 px; it is worthwhile for views of 1920x1080 and more. Without a GPU, and for more views, the processor draws. (default "cpu")"""
 
     def composite_mesh(
         self,
@@ -951,50 +951,50 @@ class NodeTypes:
     ) -> CompositeMesh:
         """Joins views by meshes that follow their disparity, so that nothing breaks at the seam, and keep lengths beyond.
 
-        left: Left view; the panorama lies in its plane.
+        left: Left view; the panorama is in its plane.
         right: Right view of the same instant.
-        homography: Maps right-view pixels to left-view pixels: where only the right camera sees.
-        disparity: Disparity of the left rectified view, as large as the views or smaller by a whole factor: where both cameras see. Without it the homography places the right view alone.
-        calibration: Calibration of the views. Unconnected, they are taken as rectified.
-        detections: Boxes of instruments in the left view, if there is a detector: what lies in front of the tissue there is an instrument sooner. Those of an earlier picture will do.
-        mask: Nonzero on instruments in the left view, if something finds their outlines.
+        homography: Maps right-view pixels to left-view pixels; used where only the right camera sees.
+        disparity: Disparity of the left rectified view, as large as the views or smaller by an integer factor; used where both cameras see. Without it the homography alone places the right view.
+        calibration: Calibration of the views. Unconnected: they are assumed to be rectified.
+        detections: Boxes of instruments in the left view, from a detector. Inside them, anything in front of the tissue is more readily treated as an instrument. Boxes of an earlier frame are accepted.
+        mask: Nonzero on instruments in the left view, from a segmenting node.
         views: Two to eight views instead of `left` and `right`, row by row, of cameras one baseline apart with parallel axes.
         homographies: One homography for each further view of `views`, which maps its pixels to the first view's.
-        disparities: Disparities of the first of `views` with cameras one baseline away, each full size. The first that is known in a pixel counts.
-        mask_left: What of `left` is lit, not 0: only that is shown, compared and blended. Without it all is.
-        mask_right: What of `right` is lit.
-        masks: What of each of `views` is lit, in their order. Without them all is.
-        cell: Side of a cell of the mesh. (12 to 96 px; default 20)
-        bend: Smoothness of the mesh: weight of its bends beside what is observed in a cell. (0.001 to 100 ratio; default 0.01)
-        fade: How soon the mesh fades into the homography where nothing is observed: weight of its slopes. (0 to 10 ratio; default 0.005)
-        most_stretch: Largest change of a length where only the other camera sees, against the homography. (0 to 100 %; default 4.5)
-        zone_px: Width of the zone before the left view's border in which the mesh leaves the disparity for that: a wide one is smooth, a narrow one keeps more of the overlap exact. With 0 the mesh follows the disparity up to the border and stretches what lies beyond. (0 to 400 px; default 60)
-        outlier_px: Distance from the mesh at which an observation counts a quarter: those of an instrument in front of the tissue do not count. (0.2 to 50 px; default 12)
-        steady: Weight of the mesh of the frame before while nothing moves; 0 fits each frame anew. (0 to 1000 ratio; default 10)
-        instruments: Shows each instrument in front of the tissue whole, by one of the views, and does not bend it; for `left` and `right`. (default True)
-        min_score: Lowest score of a box at `detections`. (0 to 1 ratio; default 0.3)
-        camera_columns: Number of `views` side by side in one row of cameras, which stand one baseline apart with parallel axes. (1 to 8; default 2)
+        disparities: Disparities of the first of `views` with cameras one baseline away, each at full size. In each pixel the first known value is used.
+        mask_left: Nonzero where `left` is illuminated: only those pixels are shown, compared and blended. Unconnected: all pixels.
+        mask_right: Nonzero where `right` is illuminated.
+        masks: Nonzero where each of `views` is illuminated, in their order. Unconnected: all pixels.
+        cell: Side of a mesh cell. (12 to 96 px; default 20)
+        bend: Smoothness of the mesh: weight of its bending relative to the observations in a cell. (0.001 to 100 ratio; default 0.01)
+        fade: Speed with which the mesh approaches the homography where nothing is observed: weight of its slopes. (0 to 10 ratio; default 0.005)
+        most_stretch: Maximum change of a length, relative to the homography, where only the other camera sees. (0 to 100 %; default 4.5)
+        zone_px: Width of the zone before the left view's border in which the mesh departs from the disparity to limit that change. A wide zone is smooth; a narrow one keeps more of the overlap exact. With 0 the mesh follows the disparity up to the border and stretches what is beyond. (0 to 400 px; default 60)
+        outlier_px: Distance from the mesh at which an observation has a quarter of its weight. Observations on an instrument in front of the tissue are further away and do not count. (0.2 to 50 px; default 12)
+        steady: Weight of the previous frame's mesh while nothing moves; 0 fits each frame independently. (0 to 1000 ratio; default 10)
+        instruments: Shows each instrument in front of the tissue completely and unbent, from one of the views; for `left` and `right`. (default True)
+        min_score: Minimum score of a box at `detections`. (0 to 1 ratio; default 0.3)
+        camera_columns: Number of `views` per row of cameras, which are one baseline apart with parallel axes. (1 to 8; default 2)
         seam: Method that finds the seam between two views. (default "graph_cut")
-        seam_scale: Factor by which the overlap is shrunk before the seam is found; 1 finds it at full size. 0 finds the factor from the width of the views: 10 up to 1280 px, 15 for 1920, 30 for 3840. (0 to 64; default 0)
-        seam_interval: Largest number of frames before the seam is found again. (1 to 10000 frames; default 15)
+        seam_scale: Factor by which the overlap is reduced before the seam is found; 1 finds it at full size. 0 selects the factor by the width of the views: 10 up to 1280 px, 15 for 1920, 30 for 3840. (0 to 64; default 0)
+        seam_interval: Maximum number of frames before the seam is found again. (1 to 10000 frames; default 15)
         seam_cost: Cost of the seam between two pixels. (default "color_gradient")
-        seam_hold: Colour difference that a new seam must gain over the previous one; 0 ignores the previous seam. (0 to 20 levels; default 0.5)
+        seam_hold: Minimum improvement in colour difference for a new seam to replace the previous one; 0 ignores the previous seam. (0 to 20 levels; default 0.5)
         blend: Blending of the views along the seam. (default "multi_band")
         blend_px: Width of the transition across the seam. (0 to 256 px; default 32)
         exposure: Exposure correction. (default "channel_gain")
         canvas_width: Width of the panorama; 0 takes it from the first good registration. (0 to 8192 px; default 0)
         canvas_height: Height of the panorama; 0 takes it from the first good registration. (0 to 8192 px; default 0)
         canvas_margin: Margin around the first good registration, so that the canvas need not move. (0 to 512 px; default 16)
-        canvas_grow: Number of frames in a row that must leave the canvas before it grows; 0 never grows it. (0 to 10000 frames; default 0)
-        crop: Which part of the plane the panorama shows. A crop is held: its size changes in steps, seldom. Without effect beside a fixed width and height. (default "none")
-        crop_hold: Time for which a larger part must have been covered before a cropped panorama grows, or a bounding box must have been off before it changes. (0 to 60 s; default 4)
-        border: What becomes of the outer border of the panorama. (default "as_is")
+        canvas_grow: Number of consecutive frames that must leave the canvas before it grows; 0 never grows it. (0 to 10000 frames; default 0)
+        crop: Region of the plane that the panorama shows. A crop is held: its size changes rarely, in steps. Has no effect with a fixed width and height. (default "none")
+        crop_hold: Time for which a larger region must have been covered before a cropped panorama grows, or a bounding box must have been wrong before it changes. (0 to 60 s; default 4)
+        border: Treatment of the panorama's outer border. (default "as_is")
         border_px: Width of a fading border. (1 to 512 px; default 24)
         up_cue: Draws an arrow that points up in the left view. (default False)
-        up_deg: Direction of up in the left view, clockwise from the picture's top. (-180 to 180 deg; default 0)
+        up_deg: Direction of up in the left view, clockwise from the top of the image. (-180 to 180 deg; default 0)
         mark_lost: Marks frames whose registration is lost. (default True)
         on_lost: Output while a frame's registration is lost or implausible. (default "last")
-        device: What draws panoramas of two views, up to the transition along the seam. A GPU rounds positions differently now and then, by 1/64 px; it pays for views of 1920x1080 and more. Without one, and for more views, the processor draws. (default "cpu")"""
+        device: What draws panoramas of two views, up to the transition along the seam. A GPU sometimes rounds positions differently, by 1/64 px; it is worthwhile for views of 1920x1080 and more. Without a GPU, and for more views, the processor draws. (default "cpu")"""
 
     def composite_opencv(
         self,
@@ -1014,16 +1014,16 @@ class NodeTypes:
     ) -> CompositeOpencv:
         """Joins two views with OpenCV's stitching classes: warp, gain, graph-cut seam, multi-band blend.
 
-        left: Left view; the panorama lies in its plane.
+        left: Left view; the panorama is in its plane.
         right: Right view of the same instant.
         homography: Maps right-view pixels to left-view pixels.
-        seam_megapixels: Size to which each view is shrunk for gains and seam, in million pixels; 0 uses full resolution. OpenCV's stitcher uses 0.1. (0 to 10; default 0)
+        seam_megapixels: Size to which each view is reduced for gains and seam, in megapixels; 0 uses full resolution. OpenCV's stitcher uses 0.1. (0 to 10; default 0)
         seam: Method that finds the seam between the views. (default "graph_cut")
-        seam_cost: Cost that the seam avoids. (default "color")
+        seam_cost: Cost that the seam minimises. (default "color")
         gain: Equalises the exposure with one gain per view. (default True)
-        blend_strength: Width of the blend in percent of the panorama's side, as in OpenCV's sample. (0 to 100 %; default 5)
+        blend_strength: Width of the blend, as a percentage of the panorama's side, as in OpenCV's sample. (0 to 100 %; default 5)
         canvas_margin: Margin around the first good registration, so that the canvas need not move. (0 to 512 px; default 16)
-        threads: Number of OpenCV's threads, for the whole process while this node is open. (1 to 64; default 1)"""
+        threads: Number of OpenCV's threads. Applies to the whole process while this node is open. (1 to 64; default 1)"""
 
     def cut_views(
         self,
@@ -1039,12 +1039,12 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> CutViews:
-        """Cuts a picture into two overlapping views with another perspective, exposure and noise: real pictures with a true homography.
+        """Cuts an image into two overlapping views with different perspective, exposure and noise: real images with a true homography.
 
-        image: The picture to cut.
+        image: Image to cut.
         overlap: Overlap of both views, as a share of their width. (0.1 to 0.9 ratio; default 0.5)
-        perspective_px: Largest displacement of the right view's corners by its perspective. (0 to 200 px; default 12)
-        sway_px: Amplitude of the movement of each corner of the right view; 0 stands still. (0 to 50 px; default 2)
+        perspective_px: Maximum displacement of the right view's corners by its perspective. (0 to 200 px; default 12)
+        sway_px: Amplitude of the movement of each corner of the right view; 0 keeps it still. (0 to 50 px; default 2)
         sway_frames: Period of the movement. (2 to 10000 frames; default 60)
         right_exposure: Exposure of the right view relative to the left one. (0.25 to 1.9 ratio; default 0.9)
         noise_levels: Standard deviation of the noise added to each view, gray levels. (0 to 32; default 2)
@@ -1062,14 +1062,14 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> DataSet:
-        """Pictures of SCARED, Hamlyn, StereoMIS, EndoVis, KITTI, Middlebury, CholecSeg8k, VOC and YOLO folders, with their calibration and truth.
+        """Images of SCARED, Hamlyn, StereoMIS, EndoVis, KITTI, Middlebury, CholecSeg8k, VOC and YOLO folders, with their calibration and truth.
 
-        folder: Folder of a data set, or of some of them; `panoscope import FOLDER` lists what is found there. (default "")
-        sequence: Name of a sequence, as `panoscope import` lists it. Empty takes the first one. (default "")
+        folder: Folder of one data set or of several; `panoscope import FOLDER` lists what is found there. (default "")
+        sequence: Name of a sequence, as `panoscope import` lists it. Empty: the first one. (default "")
         loop: Starts again at the end. (default False)
-        rate_hz: Pictures per second of media time. 0 takes the times in videos, and 30 per second for pictures. (0 to 1000 Hz; default 0)
-        pace: When to hold pictures back to their rate. (default "auto")
-        on_damage: How a damaged picture is handled. (default "fail")"""
+        rate_hz: Frames per second of media time. 0: the times in videos, and 30 per second for images. (0 to 1000 Hz; default 0)
+        pace: When to hold frames back to their rate. (default "auto")
+        on_damage: How a damaged image is handled. (default "fail")"""
 
     def disparity_fbs(
         self,
@@ -1195,13 +1195,13 @@ class NodeTypes:
         image: Rectified left view.
         disparity: Disparity of the left view.
         disparity_right: Disparity of the right view.
-        method: Matcher in front of this filter. (default "bm")
-        min_disparity_px: Smallest disparity that the matcher in front searches. (-1024 to 1500 px; default 0)
+        method: Algorithm of the matcher in front of this filter. (default "bm")
+        min_disparity_px: Minimum disparity that the matcher in front searches. (-1024 to 1500 px; default 0)
         search_px: Number of disparities that the matcher in front searches. (16 to 512 px; default 64)
         block_px: Side of the window of the matcher in front. (3 to 31 px; default 15)
         lambda_: Strength of the smoothing. (0 to 1000000; default 8000)
-        sigma_color: Sensitivity to edges of the picture. (0.1 to 100; default 1.5)
-        threads: Number of OpenCV's threads, for the whole process while this node is open. The filter divides its rows among this number when it is created. (1 to 64; default 1)"""
+        sigma_color: Sensitivity to edges of the image. (0.1 to 100; default 1.5)
+        threads: Number of OpenCV's threads. Applies to the whole process while this node is open. The filter divides its rows among this number when it is created. (1 to 64; default 1)"""
 
     def drain(
         self,
@@ -1211,10 +1211,10 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Counts pictures and releases them.
+        """Counts frames and releases them.
 
-        image: The picture.
-        digest: Reads all bytes and reports a digest of everything received, as the metric `digest`. (default False)"""
+        image: The frame to forward.
+        digest: Reads all bytes and reports a digest of all frames received, as the metric `digest`. (default False)"""
 
     def drain_blocking(
         self,
@@ -1224,10 +1224,10 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Counts pictures and releases them, on its own thread.
+        """Counts frames and releases them, on its own thread.
 
-        image: The picture.
-        digest: Reads all bytes and reports a digest of everything received, as the metric `digest`. (default False)"""
+        image: The frame to forward.
+        digest: Reads all bytes and reports a digest of all frames received, as the metric `digest`. (default False)"""
 
     def evaluate_arm(
         self,
@@ -1244,7 +1244,7 @@ class NodeTypes:
         """Evaluates how well an arm follows an exactly known tip.
 
         calibration: Calibration of the rectified views.
-        tip: The true tip (`lead` of the phantom), mm; score 0 while it is hidden or outside the picture.
+        tip: The true tip (`lead` of the phantom), mm; score 0 while it is hidden or outside the image.
         arm: Table of the arm's driver.
         track: Table of the `tip_track` that controls the arm, for the time since the tip was seen and the tracker's error.
         distance_mm: Requested distance of the tip from the left camera. (30 to 120 mm; default 66)
@@ -1295,9 +1295,9 @@ class NodeTypes:
     ) -> EvaluateDetections:
         """Compares boxes with the true ones: precision, recall and average precision since the start.
 
-        truth: True boxes, such as `detections` of the phantom or of `read_labels`. An object with a score of 0 neither helps nor harms.
-        detections: The boxes to evaluate. A tick without them counts as nothing found.
-        min_score: Score from which a detection counts for precision and recall. (0 to 1 ratio; default 0.5)"""
+        truth: True boxes, such as `detections` of the phantom or of `read_labels`. An object with a score of 0 is ignored.
+        detections: Boxes to evaluate. A tick without them counts as no detection.
+        min_score: Minimum score of a detection that counts for precision and recall. (0 to 1 ratio; default 0.5)"""
 
     def evaluate_disparity(
         self,
@@ -1329,8 +1329,8 @@ class NodeTypes:
 
         pose: True pose of the camera in the scene.
         depth: True depth of the frame.
-        calibration: True calibration; the left camera counts.
-        homography: The map of the frame to evaluate.
+        calibration: True calibration; only the left camera is used.
+        homography: The homography of the frame to evaluate.
         step: Spacing of the points that are compared. (4 to 200 px; default 40)"""
 
     def evaluate_proximity(
@@ -1347,16 +1347,16 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> EvaluateProximity:
-        """Counts false and missed warnings of `proximity` beside distances that are known exactly.
+        """Counts false and missed warnings of `proximity`, compared with exactly known distances.
 
-        truth: True distances (`clearance` of the phantom): `track_id`, `seen`, `tissue_mm`, `tip_mm`. Ticks in which a tip is not seen are not evaluated.
+        truth: True distances (`clearance` of the phantom): `track_id`, `seen`, `tissue_mm`, `tip_mm`. Ticks in which a tip is not visible are not evaluated.
         table: Table of `proximity`. A tip without a row has no warning.
         warn_mm: Distance to the tissue below which a tip counts as near. (0.1 to 50 mm; default 5)
         tips_mm: Distance between tips below which they count as near. (0.1 to 100 mm; default 8)
         release_mm: Hysteresis: a warning ends at a distance larger by this than where it begins. (0 to 20 mm; default 1)
         min_ms: Time for which a distance must stay beyond a threshold before a warning begins or ends. (0 to 5000 ms; default 60)
-        margin_mm: Tolerance around each threshold: approaches and warnings within it count neither as right nor as wrong. (0 to 20 mm; default 1)
-        delay_ms: Longest delay of a warning. (0 to 5000 ms; default 200)"""
+        margin_mm: Tolerance around each threshold: approaches and warnings within it count neither as correct nor as wrong. (0 to 20 mm; default 1)
+        delay_ms: Maximum delay of a warning. (0 to 5000 ms; default 200)"""
 
     def evaluate_stitch(
         self,
@@ -1386,7 +1386,7 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> EvaluateStitch:
-        """Compares a registration and its panorama with the truth: alignment, likeness in the overlap and along the seam, jitter.
+        """Compares a registration and its panorama with the ground truth: alignment, similarity in the overlap and along the seam, jitter.
 
         left: Left view.
         right: Right view.
@@ -1398,17 +1398,17 @@ class NodeTypes:
         disparity: True disparity of the left view, px.
         visible: 255 where the right camera sees the same point.
         truth: True homography, or the best available.
-        wide: Picture of one wide camera at the left camera's position.
+        wide: Image of one wide camera at the left camera's position.
         footprint: 255 in each pixel of `wide` that at least one camera shows.
         left_in_wide: Rectangle of the left view in `wide`, px; overrides the parameters.
-        wide_x: Column of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra width. (-1 to 8192 px; default -1)
-        wide_y: Row of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra height. (-1 to 8192 px; default -1)
+        wide_x: Column of the left view's origin in the wide ground truth; -1: as in the phantom, an eighth of the extra width. (-1 to 8192 px; default -1)
+        wide_y: Row of the left view's origin in the wide ground truth; -1: as in the phantom, an eighth of the extra height. (-1 to 8192 px; default -1)
         seam_band: Half the width of the band along the seam that is compared. (1 to 256 px; default 16)
         step: Spacing of the true correspondences. (1 to 64 px; default 8)
-        every: Number of ticks between comparisons of pictures, which take longer than stitching. (1 to 1000 frames; default 3)
-        correlate: Without a connected truth, evaluates the alignment by correspondences found by correlation, on the same ticks. (default False)
-        along_x: Columns by which the right view is displaced, in units of the true disparity. (-8 to 8 ratio; default 1)
-        along_y: Rows by which it is displaced: 1 for a camera one baseline below the left one. (-8 to 8 ratio; default 0)
+        every: Number of ticks between comparisons of images, which take longer than stitching. (1 to 1000 frames; default 3)
+        correlate: If no ground truth is connected, evaluates the alignment by correspondences found by correlation, on the same ticks. (default False)
+        along_x: Horizontal displacement of the right view, in units of the true disparity. (-8 to 8 ratio; default 1)
+        along_y: Vertical displacement of the right view: 1 for a camera one baseline below the left one. (-8 to 8 ratio; default 0)
         view: Number of the right view in `shown`. (2 to 8; default 2)"""
 
     def every_nth(
@@ -1419,10 +1419,10 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> EveryNth:
-        """Forwards every n-th picture.
+        """Forwards every n-th frame.
 
-        image: The picture.
-        n: One picture in this many passes; the output is empty for the others. (1 to 1000000; default 2)"""
+        image: The frame to forward.
+        n: One frame in this many passes; the output is empty for the others. (1 to 1000000; default 2)"""
 
     def features_opencv(
         self,
@@ -1443,11 +1443,11 @@ class NodeTypes:
         left: Left view, or the only one.
         right: Right view, of any size. Without it no matches are made.
         detector: Kind of features. (default "sift")
-        max_points: Largest number of keypoints per view, strongest first; 0 uses OpenCV's default. (0 to 100000 points; default 0)
+        max_points: Maximum number of keypoints per view, strongest first; 0 uses OpenCV's default. (0 to 100000 points; default 0)
         threshold: Threshold of the detector; 0 uses OpenCV's default (0.04, 0.001, 20). (0 to 1000; default 0)
-        ratio: Largest ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
+        ratio: Maximum ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
         mutual: Keeps a match only when each point is the other's best. (default True)
-        threads: Number of OpenCV's threads, for the whole process while this node is open. (1 to 64; default 1)"""
+        threads: Number of OpenCV's threads. Applies to the whole process while this node is open. (1 to 64; default 1)"""
 
     def features_surf(
         self,
@@ -1474,18 +1474,18 @@ class NodeTypes:
 
         left: Left view, or the only one.
         right: Right view, of any size. Without it no matches are made.
-        hessian_threshold: Least determinant of the Hessian of a keypoint. (0 to 20000; default 100)
-        max_points: Largest number of keypoints per view, strongest first; 0 takes all. (0 to 100000 points; default 0)
+        hessian_threshold: Minimum determinant of the Hessian of a keypoint. (0 to 20000; default 100)
+        max_points: Maximum number of keypoints per view, strongest first; 0 keeps all. (0 to 100000 points; default 0)
         octaves: Octaves of the scale space. (1 to 4; default 4)
-        layers: Filters per octave. (3 to 8; default 4)
-        upright: Ignores the orientation of keypoints: for cameras that are hardly rotated against each other. (default False)
-        fine_bias: Power of the size by which responses are divided for ranking: fine detail is located more exactly. (0 to 4; default 1)
-        upsample: Doubles the picture first: finer keypoints, about four times the time. Only with `scale` 1. (default False)
+        layers: Number of filters per octave. (3 to 8; default 4)
+        upright: Ignores the orientation of keypoints, for cameras that are hardly rotated relative to each other. (default False)
+        fine_bias: Exponent of the size by which responses are divided for ranking: larger values prefer fine detail, which is located more precisely. (0 to 4; default 1)
+        upsample: Doubles the size of the image first: finer keypoints, about four times the time. Only with `scale` 1. (default False)
         window: Size of the descriptor's window relative to the usual one. (0.5 to 4 ratio; default 1)
         extended: Descriptors of 128 instead of 64 elements, from a narrow and a wide window: more correct matches, slower. (default False)
-        second_look: Locates each keypoint more exactly with Gaussian derivatives; slow. (default True)
-        scale: Factor by which the picture is shrunk before the search. (1 to 8; default 1)
-        ratio: Largest ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
+        second_look: Locates each keypoint more precisely with Gaussian derivatives; slow. (default True)
+        scale: Factor by which the image is reduced before the search. (1 to 8; default 1)
+        ratio: Maximum ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
         mutual: Keeps a match only when each point is the other's best. (default True)"""
 
     def frames(
@@ -1503,12 +1503,12 @@ class NodeTypes:
     ) -> Frames:
         """Makes test frames.
 
-        width_px: Width. (1 to 16384 px; default 640)
-        height_px: Height. (1 to 16384 px; default 480)
-        format: Pixel format. (default "bgr8")
-        pattern: What is drawn. (default "ramp")
-        rate_hz: Frames per second of media time; a live graph keeps to it. (0.001 to 1000000 Hz; default 30)
-        count: Frames to make; 0 for no end. (0 to 1000000000; default 0)
+        width_px: Width of the frames. (1 to 16384 px; default 640)
+        height_px: Height of the frames. (1 to 16384 px; default 480)
+        format: Pixel format of the frames. (default "bgr8")
+        pattern: Content of the frames. (default "ramp")
+        rate_hz: Frames per second of media time; a live graph runs at this rate. (0.001 to 1000000 Hz; default 30)
+        count: Number of frames; 0 for no end. (0 to 1000000000; default 0)
         start_ms: Media time of the first frame. (-1000000 to 1000000 ms; default 0)"""
 
     def gate(
@@ -1519,10 +1519,10 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Gate:
-        """Forwards pictures while it is open.
+        """Forwards frames while it is open.
 
-        image: The picture.
-        open: Whether pictures pass; when closed, the output is empty. (default True)"""
+        image: The frame to forward.
+        open: Whether frames pass; when closed, the output is empty. (default True)"""
 
     def igtl_receive(
         self,
@@ -1539,17 +1539,17 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> IgtlReceive:
-        """Receives pictures, poses, points, surfaces and texts from programs that speak OpenIGTLink.
+        """Receives images, poses, points, surfaces and texts from programs that speak OpenIGTLink.
 
-        role: Who connects. Nodes with the same role, address and port share one connection, which carries messages both ways. (default "server")
-        address: Server: address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees what is sent and can send: there is no password. 0.0.0.0 listens on all networks. Client: name or address of the machine to connect to. (default "127.0.0.1")
-        port: TCP port; 18944 is the protocol's own. 0 lets a server take a free one, which the log and the metric `port` name. (0 to 65535; default 18944)
-        queue: Messages of one device that may wait for a slow program, or for the graph; with more the oldest is dropped and counted. Of pictures and surfaces two wait at most. (1 to 65536; default 256)
+        role: Which side connects. Nodes with the same role, address and port share one connection, which carries messages both ways. (default "server")
+        address: Server: address of this machine to listen on. 127.0.0.1 serves only programs on this machine; 0.0.0.0 listens on all networks. There is no password: anybody who reaches the port can read and send messages. Client: name or address of the machine to connect to. (default "127.0.0.1")
+        port: TCP port; the protocol's own is 18944. 0 lets a server take a free port, which the log and the metric `port` name. (0 to 65535; default 18944)
+        queue: Maximum number of messages per device that wait for a slow program or for the graph; beyond it the oldest is dropped and counted. At most two images or surfaces wait. (1 to 65536; default 256)
         device: Device name of the messages to take; empty takes those of all devices. (default "")
-        a: Frame `a` of the pose, to which it maps. Empty: from a device name such as `ToolToTracker`, the part behind `To`. (default "")
+        a: Frame `a` of the pose, to which it maps. Empty: from a device name such as `ToolToTracker`, the part after `To`. (default "")
         b: Frame `b` of the pose, from which it maps. Empty: from the device name, the part before `To`, or all of it. (default "")
-        time_from: Where the capture time of a tick comes from. Capture times never go back. (default "sender")
-        clocks_agree: The sender's clock and this machine's are kept together (NTP or PTP), to within the ages that matter: ages count from the timestamp of a message. Off: ages count from its arrival here, and what the way took is unknown. (default False)"""
+        time_from: Where the capture time of a tick comes from. Capture times never decrease. (default "sender")
+        clocks_agree: Whether the sender's clock and this machine's are synchronised (NTP or PTP) to better than the ages that matter. On: ages count from a message's timestamp. Off: ages count from its arrival here, and the transmission time is unknown. (default False)"""
 
     def igtl_send(
         self,
@@ -1578,28 +1578,28 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Sends pictures, poses, tips, surfaces, detections and texts to programs that speak OpenIGTLink.
+        """Sends images, poses, tips, surfaces, detections and texts to programs that speak OpenIGTLink.
 
-        image: Picture, as IMAGE: gray8 and gray16 with one component, bgr8 as red, green, blue, rgba8 with four, f32 as floats.
-        pose: Pose, as `poses_as` says.
-        tip: Tip of a tool in mm, as `poses_as` says; not sent while its place is unknown.
+        image: Image, as IMAGE: gray8 and gray16 with one component, bgr8 as red, green, blue, rgba8 with four, f32 as floats.
+        pose: Pose, in the message type that `poses_as` selects.
+        tip: Tip of a tool in mm, in the message type that `poses_as` selects; not sent while its position is unknown.
         cloud: Surface, as the points of POLYDATA with their colours.
-        detections: Detections, as POINT: the centre of each box in the plane of the picture, with the class as name and half the diagonal as radius.
-        text: Text, as STRING; what is longer than 65,535 bytes is cut off.
-        role: Who connects. Nodes with the same role, address and port share one connection, which carries messages both ways. (default "server")
-        address: Server: address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees what is sent and can send: there is no password. 0.0.0.0 listens on all networks. Client: name or address of the machine to connect to. (default "127.0.0.1")
-        port: TCP port; 18944 is the protocol's own. 0 lets a server take a free one, which the log and the metric `port` name. (0 to 65535; default 18944)
-        queue: Messages of one device that may wait for a slow program, or for the graph; with more the oldest is dropped and counted. Of pictures and surfaces two wait at most. (1 to 65536; default 256)
-        version: Header version of the messages. 1 is understood by every program. 2 and 3 add a message number, and as metadata the media time (`capture_ns`) and the frames of a pose (`a`, `b`). (1 to 3; default 1)
-        poses_as: Message type of poses and tips. Whatever it is, a program that asks for tracking data (`STT_TDATA`) gets it. (default "transform")
-        image_name: Device name of the picture. (default "Panoscope")
+        detections: Detections, as POINT: the centre of each box in the image plane, with the class as name and half the diagonal as radius.
+        text: Text, as STRING; truncated to 65,535 bytes.
+        role: Which side connects. Nodes with the same role, address and port share one connection, which carries messages both ways. (default "server")
+        address: Server: address of this machine to listen on. 127.0.0.1 serves only programs on this machine; 0.0.0.0 listens on all networks. There is no password: anybody who reaches the port can read and send messages. Client: name or address of the machine to connect to. (default "127.0.0.1")
+        port: TCP port; the protocol's own is 18944. 0 lets a server take a free port, which the log and the metric `port` name. (0 to 65535; default 18944)
+        queue: Maximum number of messages per device that wait for a slow program or for the graph; beyond it the oldest is dropped and counted. At most two images or surfaces wait. (1 to 65536; default 256)
+        version: Header version of the messages. Every program understands 1. Versions 2 and 3 add a message number and, as metadata, the media time (`capture_ns`) and the frames of a pose (`a`, `b`). (1 to 3; default 1)
+        poses_as: Message type of poses and tips. A program that asks for tracking data (`STT_TDATA`) gets it whatever this is. (default "transform")
+        image_name: Device name of the image. (default "Panoscope")
         pose_name: Device name of the pose. Empty: from the names of its frames, `bToa` for a pose that maps coordinates of `b` to those of `a`. (default "")
         tip_name: Device name of the tip. (default "Tip")
         tracker_name: Device name of tracking data. (default "Tracker")
         cloud_name: Device name of the surface. (default "Surface")
         detections_name: Device name of the detections. (default "Detections")
         text_name: Device name of the text. (default "Text")
-        pixel_mm: Side of a pixel of the picture, for programs that place it in space: pixel (0, 0) is at the origin, x goes along columns, y along rows. (0.001 to 100 mm; default 1)
+        pixel_mm: Side of an image pixel, for programs that place it in space: pixel (0, 0) is at the origin, x goes along columns, y along rows. (0.001 to 100 mm; default 1)
         cloud_step: Every n-th column and row of a surface is sent. (1 to 64; default 4)"""
 
     def level(
@@ -1612,12 +1612,12 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Level:
-        """Measures the brightness of pictures.
+        """Measures the brightness of images.
 
-        image: The picture.
+        image: The image to measure.
         gain: Factor of all levels. (0 to 8 ratio; default 1)
-        window: Part of the picture that is measured: x, y, width, height; without it, all of it. (px; default [])
-        spots: Further points that are measured: u, v, u, v, ... (px; default [])"""
+        window: Region of the image that is measured: x, y, width, height; without it, the whole image. (px; default [])
+        spots: Additional points to measure: u, v, u, v, ... (px; default [])"""
 
     def mask_rcnn(
         self,
@@ -1644,23 +1644,23 @@ class NodeTypes:
     ) -> MaskRcnn:
         """Finds surgical tools with their outlines by a segmenting network.
 
-        image: Picture to search, bgr8 or gray8.
-        mask: What of the picture is lit, not 0. Instances whose boxes lie outside by more than half are dropped; without it all is lit.
+        image: Image to search, bgr8 or gray8.
+        mask: Nonzero where the image is illuminated. Instances whose boxes are more than half outside are dropped. Unconnected: the whole image.
         model: ONNX file of the network. (default "models/instrument_masks.onnx")
         family: Family of the export. (default "auto")
-        min_score: Lowest score of an instance. (0.001 to 1 ratio; default 0.5)
+        min_score: Minimum score of an instance. (0.001 to 1 ratio; default 0.5)
         max_overlap: Overlap (intersection over union) above which the box with the lower score is dropped, within a class. (0.05 to 1 ratio; default 0.5)
-        mask_threshold: Probability from which a pixel belongs to the mask. (0.01 to 0.99 ratio; default 0.5)
-        max_instances: Largest number of instances in the output. (1 to 200; default 20)
+        mask_threshold: Minimum probability of a pixel of the mask. (0.01 to 0.99 ratio; default 0.5)
+        max_instances: Maximum number of instances in the output. (1 to 200; default 20)
         labels: File with the names of the classes, one per line. Empty: the names in the model file. (default "")
         input_width: Width of the network's input, for models that accept any size. (32 to 4096 px; default 640)
         input_height: Height of the network's input, for models that accept any size. (32 to 4096 px; default 480)
         track: Gives each tool a number (`track_id`) that it keeps over time. (default True)
-        vote_s: Gives a tracked tool the class that it had most often: votes weigh as much as their score, and half as much after this time. 0: each picture's own class. (0 to 60 s; default 0)
-        unlike_s: Time over which the deviation of the pictures from those learned from is smoothed. (0 to 60 s; default 2)
+        vote_s: Gives a tracked tool the class that it had most often: votes are weighted by score, and their weight halves after this time. 0: the class in each image. (0 to 60 s; default 0)
+        unlike_s: Time constant of the smoothing of `unlikeness`. (0 to 60 s; default 2)
         unlike: What happens to the instruments while `unlikeness` is 1 or more. (default "keep")
         threads: Number of threads of the network; 0 uses as many as the host has. (0 to 64; default 0)
-        provider: What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the processor does, with a warning. (default "cpu")"""
+        provider: Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is used, with a warning. (default "cpu")"""
 
     def measure(
         self,
@@ -1728,30 +1728,30 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Mosaic:
-        """Adds each picture of one moving camera to a mosaic of all that it has seen; closed loops take the drift away.
+        """Adds each frame of one moving camera to a mosaic of everything it has seen; closed loops remove the drift.
 
-        image: The camera's picture; all of one size.
-        width: Width of the picture. (64 to 8192 px; default 1280)
-        height: Height of the picture. (64 to 8192 px; default 960)
-        view: Which part of the mosaic is shown. (default "fit")
-        zoom: Pixels of the picture per pixel of the first frame: the maximum for `fit`, fixed for `follow`. (0.05 to 2 ratio; default 1)
-        loop_closure: Registers against earlier keyframes too, and distributes the error of closed loops. Off: registers against the newest keyframes only. (default True)
-        max_keyframes: Largest number of keyframes. A new one then replaces the oldest, with its part of the picture. One of 640x480 takes 1.4 MB. (2 to 500; default 60)
+        image: Frames of the camera; all of one size.
+        width: Width of the output image. (64 to 8192 px; default 1280)
+        height: Height of the output image. (64 to 8192 px; default 960)
+        view: Region of the mosaic that is shown. (default "fit")
+        zoom: Pixels of the output per pixel of the first frame: the maximum for `fit`, fixed for `follow`. (0.05 to 2 ratio; default 1)
+        loop_closure: Also registers against earlier keyframes, and distributes the error of closed loops. Off: registers only against the newest keyframes. (default True)
+        max_keyframes: Maximum number of keyframes. Beyond it a new one replaces the oldest, together with its part of the mosaic. A keyframe of 640x480 takes 1.4 MB. (2 to 500; default 60)
         keyframe_overlap: Overlap with keyframes below which a frame becomes a keyframe. (0.3 to 0.95 ratio; default 0.7)
-        model: Model of the maps between keyframes. Fewer parameters drift less on curved tissue and fit a tilting camera worse. (default "homography")
-        scale: Factor by which the picture is shrunk before features are found. (1 to 8; default 2)
-        hessian_threshold: Least determinant of the Hessian of a keypoint. (1 to 20000; default 50)
-        max_points: Largest number of keypoints per frame. (50 to 10000 points; default 500)
-        upright: Ignores the orientation of keypoints: for a scope that hardly turns about its axis. (default False)
-        ratio: Largest ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
+        model: Model of the maps between keyframes. Fewer parameters drift less on curved tissue but fit a tilting camera worse. (default "homography")
+        scale: Factor by which the image is reduced before features are found. (1 to 8; default 2)
+        hessian_threshold: Minimum determinant of the Hessian of a keypoint. (1 to 20000; default 50)
+        max_points: Maximum number of keypoints per frame. (50 to 10000 points; default 500)
+        upright: Ignores the orientation of keypoints, for a scope that hardly rotates about its axis. (default False)
+        ratio: Maximum ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
         gate_px: Radius around the predicted position in which matches are searched first; 0 searches everywhere. (0 to 1000 px; default 80)
-        ransac_px: Largest reprojection error of an inlier. (0.2 to 20 px; default 3)
-        min_inliers: Smallest number of inliers of a registration; 1.6 times as many without a prediction and for closed loops. (6 to 1000 points; default 15)
-        min_inlier_share: Smallest share of matches that are inliers; 1.6 times as large without a prediction and for closed loops. (0 to 1 ratio; default 0.25)
-        redraw_px: Movement of keyframes in the picture after which the mosaic is drawn again. (0 to 20 px; default 1)
+        ransac_px: Maximum reprojection error of an inlier. (0.2 to 20 px; default 3)
+        min_inliers: Minimum number of inliers of a registration; 1.6 times as many without a prediction and for closed loops. (6 to 1000 points; default 15)
+        min_inlier_share: Minimum share of matches that are inliers; 1.6 times as large without a prediction and for closed loops. (0 to 1 ratio; default 0.25)
+        redraw_px: Movement of keyframes in the image after which the mosaic is redrawn. (0 to 20 px; default 1)
         exposure: Equalises the exposure of keyframes. (default True)
         live: Draws the newest frame on top, with its border. (default True)
-        mark_lost: Marks the picture while the camera is lost. (default True)
+        mark_lost: Marks the output while the camera is lost. (default True)
         restart: Each change of this number starts a new mosaic. (0 to 1000000; default 0)"""
 
     def onnx(
@@ -1777,21 +1777,21 @@ class NodeTypes:
     ) -> Onnx:
         """Runs any network; a table says what its inputs and outputs are.
 
-        image: View of a network with one, bgr8 or gray8.
+        image: Image for a network with one view, bgr8 or gray8.
         left: Left rectified view.
         right: Right rectified view of the same instant.
-        previous: View of the tick before, for networks of motion: the same output as `image`, with `delay = 1`.
+        previous: View of the previous tick, for networks that estimate motion: the same output as `image`, with `delay = 1`.
         model: ONNX file of the network. (default "")
         table: Table of inputs and outputs as TOML text, as in `[inputs.left] port = "left"` and `[outputs.disparity] port = "disparity"` on lines of their own. Empty: the file `table_file`. `panoscope describe MODEL.onnx` prints a table; the README of the plugins lists the keys. (default "")
-        table_file: File with the same keys. Empty: the model's name with the extension `toml`, in its folder; a lock of the graph covers it only where it is named here. (default "")
-        mask_threshold: Value from which a pixel belongs to the mask, where the network gives one number per pixel. (-1000 to 1000; default 0.5)
-        min_confidence: Confidence below which pixels of disparity and depth are unknown. Takes effect where the network gives a confidence. (0 to 1 ratio; default 0)
-        min_score: Lowest score of a box. (0.001 to 1 ratio; default 0.3)
+        table_file: File with the same keys. Empty: the model's name with the extension `toml`, in its folder; a lock of the graph includes it only if it is named here. (default "")
+        mask_threshold: Value from which a pixel belongs to the mask, if the network outputs one number per pixel. (-1000 to 1000; default 0.5)
+        min_confidence: Confidence below which pixels of disparity and depth are unknown. Takes effect if the network outputs a confidence. (0 to 1 ratio; default 0)
+        min_score: Minimum score of a box. (0.001 to 1 ratio; default 0.3)
         max_overlap: Overlap (intersection over union) above which the box with the lower score is dropped, within a class. (0.05 to 1 ratio; default 0.5)
-        max_boxes: Largest number of boxes in the output. (1 to 1000; default 50)
+        max_boxes: Maximum number of boxes in the output. (1 to 1000; default 50)
         labels: File with the names of the classes, one per line. Empty: the names in the model file. (default "")
         threads: Number of threads of the network; 0 uses as many as the host has. (0 to 64; default 0)
-        provider: What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the processor does, with a warning. (default "cpu")"""
+        provider: Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is used, with a warning. (default "cpu")"""
 
     def overlay(
         self,
@@ -1834,9 +1834,9 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Overlay:
-        """Draws registrations, boxes, masks, tips, numbers and maps on a picture.
+        """Draws registrations, boxes, masks, tips, numbers and maps on an image.
 
-        image: The picture to draw on.
+        image: The image to draw on.
         homography: Registration: draws the outline of the right view and writes the state.
         roi: A rectangle, px.
         detections: Boxes with labels.
@@ -1845,32 +1845,32 @@ class NodeTypes:
         nearness: Table of `proximity`: draws a ring around each tip, a line to the nearest tissue, and the distance.
         table: A table, of which the first row is written.
         scalar: A number.
-        text: Texts, each on lines of its own.
-        mask: A mask of the picture's size.
+        text: Texts, each on separate lines.
+        mask: A mask of the image's size.
         disparity: Disparity map, px, shown as an inset.
         depth: Depth map, mm, shown as an inset.
         show_registration: Draws the state of the registration. (default True)
-        show_outline: Draws the outline of the right view and the registration's numbers too. Without it only a registration that is held or lost is named. (default True)
+        show_outline: Also draws the outline of the right view and the registration's numbers. Without it only a held or lost registration is named. (default True)
         show_roi: Draws the rectangle of `roi`. (default True)
         show_boxes: Draws boxes with their labels. (default True)
-        min_score: Lowest score of boxes and masks that are drawn. (0 to 1; default 0)
+        min_score: Minimum score of boxes and masks that are drawn. (0 to 1; default 0)
         show_masks: Draws masks. (default True)
         show_tip: Draws the tip, and the distances of `proximity`. (default True)
         show_numbers: Writes table, scalar and text. (default True)
-        columns: Columns of the table that are written, separated by commas; empty writes all. The unit follows the number, and the 95 % error bound where the next column holds it: `distance_mm` with `error_mm` is written as `distance 12.3 ± 1.2 mm`. (default "")
+        columns: Columns of the table that are written, separated by commas; empty writes all. The unit follows the number, and the 95 % error bound if the next column holds it: `distance_mm` with `error_mm` is written as `distance 12.3 ± 1.2 mm`. (default "")
         show_inset: Shows the disparity or depth map as an inset. (default True)
-        words: Where words stand: on the picture, or below it where they cover nothing. (default "picture")
-        bar_lines: Lines of the bar below the picture. (1 to 8; default 2)
-        wanted_width: Width of the output that a small picture with a bar is enlarged to, by the nearest whole factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)
-        label: Text that is always written in the corner; the title of a bar below the picture. (default "")
+        words: Where text is written: on the image, or below it where it covers nothing. (default "picture")
+        bar_lines: Number of lines of the bar below the image. (1 to 8; default 2)
+        wanted_width: Width to which a small image with a bar is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)
+        label: Text that is always written in the corner; the title of a bar below the image. (default "")
         label_corner: Corner of all text. (default "top_left")
         inset_corner: Corner of the inset. (default "bottom_right")
-        inset_share: Width of the inset, as a share of the picture's width. (0.05 to 1 ratio; default 0.3)
-        colors: Colours of the inset. (default "rainbow")
-        text_scale: Size of text: capital letters are six times as many px high. (0.5 to 20; default 2)
+        inset_share: Width of the inset, as a share of the image's width. (0.05 to 1 ratio; default 0.3)
+        colors: Colour map of the inset. (default "rainbow")
+        text_scale: Scale of text: capital letters are six times as many px high. (0.5 to 20; default 2)
         line_px: Width of lines. (0.5 to 20 px; default 2)
         mask_alpha: Opacity of masks. (0 to 1 ratio; default 0.4)
-        offset_px: Offset added to all coordinates, x and y in px: the position of the left view's corner in the picture. (px; default [])"""
+        offset_px: Offset added to all coordinates, x and y in px: the position of the left view's corner in the image. (px; default [])"""
 
     def pass_(
         self,
@@ -1879,9 +1879,9 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Pass:
-        """Forwards pictures without a copy.
+        """Forwards frames without a copy.
 
-        image: The picture."""
+        image: The frame to forward."""
 
     def pass_blocking(
         self,
@@ -1891,10 +1891,10 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> PassBlocking:
-        """Forwards pictures from its own thread, after an optional pause.
+        """Forwards frames from its own thread, after an optional pause.
 
-        image: The picture.
-        wait_ms: Time that the node sleeps per picture, as a slow device would. (0 to 10000 ms; default 0)"""
+        image: The frame to forward.
+        wait_ms: Time that the node sleeps per frame, as a slow device would. (0 to 10000 ms; default 0)"""
 
     def phantom(
         self,
@@ -1944,50 +1944,50 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Phantom:
-        """Renders a tissue-like scene for two or four parallel cameras at a scope's tip, with exact truth.
+        """Renders a tissue-like scene for two or four parallel cameras at a scope's tip, with exact ground truth.
 
-        camera_pose: Pose of the left camera in the scene; the scripted motion when unconnected.
-        scene: Scene that is rendered. (default "bowel")
+        camera_pose: Pose of the left camera in the scene. Unconnected: the scripted motion.
+        scene: Scene to render. (default "bowel")
         board: Pattern of the board in the scene `board`. (default "chessboard")
-        seed: Seed of all random numbers: the same seed gives the same pictures on every machine. (0 to 1000000000; default 7)
+        seed: Seed of all random numbers: the same seed gives the same images on every machine. (0 to 1000000000; default 7)
         layout: Arrangement of the cameras. (default "stereo")
-        width: Picture width of each camera. (64 to 3840 px; default 640)
-        height: Picture height of each camera. (48 to 2160 px; default 480)
-        baseline_mm: Distance of neighbouring cameras. (1 to 40 mm; default 15)
+        width: Image width of each camera. (64 to 3840 px; default 640)
+        height: Image height of each camera. (48 to 2160 px; default 480)
+        baseline_mm: Distance between neighbouring cameras. (1 to 40 mm; default 15)
         distance_mm: Mean distance from the resting left camera to the tissue. (15 to 150 mm; default 50)
-        rate_hz: Pictures per second of media time. (1 to 240 Hz; default 30)
+        rate_hz: Frames per second of media time. (1 to 240 Hz; default 30)
         relief: Height of the tissue's relief; 0 is a plane. No effect on `box` and `board`. (0 to 1 ratio; default 1)
         camera_path: How the scripted camera moves. (default "sway")
         path_mm: Diameter of the path `ring`. (1 to 100 mm; default 40)
-        speed_mm_s: Top speed of the scripted camera; 0 stands still. (0 to 200 mm/s; default 10)
+        speed_mm_s: Maximum speed of the scripted camera; 0 keeps it still. (0 to 200 mm/s; default 10)
         breathing_mm: Amplitude of breathing. (0 to 5 mm; default 1)
-        specular: Strength of highlights. (0 to 4 ratio; default 1)
+        specular: Strength of specular highlights. (0 to 4 ratio; default 1)
         texture: Strength of vessels, mottling, flecks and grain; 0 is smooth tissue of one colour. (0 to 1 ratio; default 1)
-        light: Light that reaches the sensors. Less light gives a darker and, with the same noise, noisier picture. (0.01 to 4 ratio; default 1)
-        noise: Sensor noise; 1 is a good small sensor. (0 to 8 ratio; default 1)
+        light: Light that reaches the sensors. Less light gives a darker and, with the same noise, noisier image. (0.01 to 4 ratio; default 1)
+        noise: Strength of sensor noise; 1 is a good small sensor. (0 to 8 ratio; default 1)
         smoke: Density of smoke. (0 to 1 ratio; default 0)
         blood_drops: Number of blood drops on each lens. (0 to 32; default 0)
-        motion_blur: Sub-frames of motion blur; 1 is none. (1 to 16 frames; default 1)
-        shutter: Share of the frame time that the shutter is open; for `motion_blur` above 1. (0 to 1 ratio; default 0.5)
+        motion_blur: Number of sub-frames averaged for motion blur; 1 is none. (1 to 16 frames; default 1)
+        shutter: Share of the frame time for which the shutter is open; used if `motion_blur` is above 1. (0 to 1 ratio; default 0.5)
         right_exposure: Exposure of the right camera relative to the left one. (0.25 to 4 ratio; default 0.93)
-        zoom: Focal length relative to that of the thesis's scope, which is 750 px at 640 columns. Smaller ones see more: 0.45 with `lens = "equidistant"` is a view of 109 degrees across. (0.3 to 2 ratio; default 1)
-        lens: Lens of every camera. Truth and `calibration` describe the views after rectification to pinholes of the same focal length. (default "pinhole")
-        distortion_k1: First coefficient k1 of every camera's lens. (-0.5 to 0.5; default 0)
-        distortion_k2: Second coefficient k2 of every camera's lens. (-0.5 to 0.5; default 0)
-        black_camera: Camera that goes black from `black_first` on. (default "none")
-        black_first: First black picture. (0 to 1000000000 frames; default 0)
-        black_count: Number of black pictures. (0 to 1000000000 frames; default 10)
+        zoom: Focal length relative to that of the thesis's scope, which is 750 px at 640 columns. Smaller values widen the view: 0.45 with `lens = "equidistant"` is a field of view of 109 degrees. (0.3 to 2 ratio; default 1)
+        lens: Lens model of every camera. Ground truth and `calibration` describe the views after rectification to pinholes of the same focal length. (default "pinhole")
+        distortion_k1: First radial distortion coefficient, k1, of every camera's lens. (-0.5 to 0.5; default 0)
+        distortion_k2: Second radial distortion coefficient, k2, of every camera's lens. (-0.5 to 0.5; default 0)
+        black_camera: Camera whose image is black from `black_first` on. (default "none")
+        black_first: First black frame. (0 to 1000000000 frames; default 0)
+        black_count: Number of black frames. (0 to 1000000000 frames; default 10)
         incident: Incident that begins at `incident_first`. (default "none")
-        incident_first: First picture of the incident. (0 to 1000000000 frames; default 20)
-        incident_count: Number of pictures of the incident. (1 to 1000000000 frames; default 10)
+        incident_first: First frame of the incident. (0 to 1000000000 frames; default 20)
+        incident_count: Number of frames of the incident. (1 to 1000000000 frames; default 10)
         tools: Number of instruments in the scene. (0 to 7; default 0)
         tool_kinds: Kinds of the instruments in order, separated by commas: grasper, bipolar, hook, scissors, clipper, irrigator, specimen_bag. Empty: all kinds in a seeded order. (default "")
-        tool_motion: Movement of the first instrument. All but `sway` start in front of the centre of the picture that both cameras share, at 0.78 of `distance_mm`. (default "sway")
+        tool_motion: Movement of the first instrument. All but `sway` start in front of the centre of the image region that both cameras share, at 0.78 of `distance_mm`. (default "sway")
         drop_share: Share of ticks that are dropped, chosen by the seed. (0 to 1 ratio; default 0)
         drop_views: Views that are missing in a dropped tick. (default "all")
         late_share: Share of ticks that are delivered late, chosen by the seed; in live mode only. (0 to 1 ratio; default 0)
         late_ms: Delay of late ticks. Their capture time does not change. (0 to 1000 ms; default 20)
-        wide_factor: Width of the `wide` view relative to one picture. (1 to 4 ratio; default 2)"""
+        wide_factor: Width of the `wide` view relative to one image. (1 to 4 ratio; default 2)"""
 
     def preview(
         self,
@@ -1998,7 +1998,7 @@ class NodeTypes:
     ) -> Node:
         """Holds the newest frame for a viewer; counts frames.
 
-        image: The picture to show."""
+        image: The image to show."""
 
     def proximity(
         self,
@@ -2023,20 +2023,20 @@ class NodeTypes:
     ) -> Proximity:
         """Measures how near tips are to tissue and to each other, and warns.
 
-        tip: Tips in the left rectified camera's frame, mm, one per tool: two detections of one tip would count as two tips that touch. Warnings follow the tool's number where it has one, otherwise the input.
+        tip: Tips in the left rectified camera's frame, mm, one per tool: two detections of one tip would count as two touching tips. Warnings follow the tool's number if it has one, otherwise the input.
         calibration: Calibration of the rectified views.
         depth: Depth of the left rectified view, mm. Without it `cloud` is used.
         cloud: Points of the left rectified view, mm, one per pixel.
         instances: Masks of the instruments. Connect one of `instances`, `detections` and `mask`.
         detections: Boxes around instruments, which are segmented by depth, and by colour where `image` is connected.
         mask: One mask of all instruments.
-        image: The picture in which boxes were found, bgr8.
+        image: Image in which boxes were found, bgr8.
         warn_mm: Distance to the tissue below which a tip counts as near. (0.1 to 50 mm; default 5)
         contact_mm: Distance to the tissue below which a tip counts as touching it. (-20 to 50 mm; default 1)
         tips_mm: Distance between tips below which they count as near. (0.1 to 100 mm; default 8)
         release_mm: Hysteresis: a warning ends at a distance larger by this than where it begins. (0 to 20 mm; default 1)
         min_ms: Time for which a distance must stay beyond a threshold before a warning begins or ends. (0 to 5000 ms; default 60)
-        rim_px: Width of the rim around instruments that is not used as tissue: matchers mix both depths there. (0 to 64 px; default 6)
+        rim_px: Width of the border around instruments that is not used as tissue, because matchers mix both depths there. (0 to 64 px; default 6)
         max_age_ms: Age after which a surface, or a tip, counts as unknown. (0 to 10000 ms; default 300)"""
 
     def read_labels(
@@ -2049,12 +2049,12 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> ReadLabels:
-        """Reads true boxes from VOC or YOLO files, those of one picture after the other.
+        """Reads true boxes from VOC or YOLO files, one image after the other.
 
-        image: Picture of the source, such as `left` of `capture`. The labels with its number are read; boxes are scaled to its size.
+        image: Image of the source, such as `left` of `capture`. The labels with its number are read; boxes are scaled to its size.
         path: Folder or pattern (labels/*.txt, Annotations/*.xml) of YOLO or VOC labels. (default "")
-        pictures: Folder or pattern of the images, as in the source. With it labels belong to the image of their name, else of their number, and an image without labels shows nothing; without it the n-th file in the order of their numbers belongs to the n-th image, and no number may be missing. (default "")
-        loop: Starts with the first file again behind the last one, as `loop` of `capture`. (default False)"""
+        pictures: Folder or pattern of the images, as in the source. With it, labels are matched to images by name, else by number, and an image without labels shows nothing. Without it, the n-th file by number belongs to the n-th image, and no number may be missing. (default "")
+        loop: Repeats the files from the first one, as `loop` of `capture`. (default False)"""
 
     def read_maps(
         self,
@@ -2068,14 +2068,14 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> ReadMaps:
-        """Reads true disparity or depth from files (NPY, PFM, TIFF, EXR, PNG), one map for each picture.
+        """Reads true disparity or depth from files (NPY, PFM, TIFF, EXR, PNG), one map for each image.
 
-        image: Picture of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
+        image: Image of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
         path: Folder, pattern (truth/*.pfm or truth/%04d.png) or file: NPY, PFM, TIFF, EXR or PNG; a single file belongs to every image. Of TIFF files with three floats the third one is taken; SCARED's x, y, z are of the raw left camera, so that z fits no rectified view: `data_set` moves them there. (default "")
-        pictures: Folder or pattern of the images, as in the source. With it a map belongs to the image of its name, else of its number, and an image without a map has no ground truth; without it the n-th map in the order of their numbers belongs to the n-th image, and no number may be missing. (default "")
+        pictures: Folder or pattern of the images, as in the source. With it, maps are matched to images by name, else by number, and an image without a map has no ground truth. Without it, the n-th map by number belongs to the n-th image, and no number may be missing. (default "")
         holds: What the files hold. (default "disparity")
-        divisor: What the numbers of the files are divided by to get px or mm. 0 takes 256 for disparity in 16-bit PNG files, as KITTI writes it, and 1 for everything else. (0 to 1000000; default 0)
-        loop: Starts with the first file again behind the last one, as `loop` of `capture`. (default False)"""
+        divisor: Divisor that converts the numbers in the files to px or mm. 0: 256 for disparity in 16-bit PNG files, as KITTI writes it, and 1 for everything else. (0 to 1000000; default 0)
+        loop: Repeats the files from the first one, as `loop` of `capture`. (default False)"""
 
     def rectify(
         self,
@@ -2125,21 +2125,21 @@ class NodeTypes:
     ) -> RegisterGrid:
         """Finds the homography between two overlapping views from a grid on their disparity, where tissue has no features.
 
-        disparity: Disparity of the left rectified view, as large as the pictures to stitch or smaller by a whole factor.
-        calibration: Calibration of the pictures to stitch. The homography is between these pictures, not between the rectified views, unless the calibration says that they are rectified. Unconnected, they are taken as rectified.
-        left: Left view: with `right`, registered by its features in a tick without a disparity.
+        disparity: Disparity of the left rectified view, as large as the views or smaller by an integer factor.
+        calibration: Calibration of the views. The homography is between these views, not between the rectified ones, unless the calibration states that they are rectified. Unconnected: they are assumed to be rectified.
+        left: Left view. With `right` connected too, a tick without a disparity is registered by features.
         right: Right view of the same instant.
-        rows: Rows of the grid on the overlap. (2 to 100; default 9)
-        columns: Columns of the grid on the overlap. (2 to 200; default 24)
+        rows: Number of rows of the grid on the overlap. (2 to 100; default 9)
+        columns: Number of columns of the grid on the overlap. (2 to 200; default 24)
         point: Point that each cell contributes. (default "median")
         scale: Spacing of the pixels that are read in a cell. (1 to 16 px; default 3)
-        least_valid: Share of a cell's pixels that must have a disparity. (0 to 1 ratio; default 0.3)
-        ransac_px: Largest reprojection error of an inlier. (0.2 to 40 px; default 4)
-        min_inliers: Smallest number of inliers of a registration. (4 to 1000 points; default 12)
-        stability_px: Keeps the previous homography while its median error on the new inliers is below this; 0 fits anew in every frame. (0 to 10 px; default 0.8)
-        anchor_fit: Weight of the previous frame's homography beside that of all inliers. It steadies the parts of the picture that the overlap does not determine; 0 fits the inliers alone. (0 to 4 ratio; default 1)
-        max_rms_px: Largest root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all. (0 to 100 px; default 18)
-        hold_frames: Number of failed frames in a row during which the previous homography counts as held; after them it is lost. (0 to 1000 frames; default 5)"""
+        least_valid: Minimum share of a cell's pixels that have a disparity. (0 to 1 ratio; default 0.3)
+        ransac_px: Maximum reprojection error of an inlier. (0.2 to 40 px; default 4)
+        min_inliers: Minimum number of inliers of a registration. (4 to 1000 points; default 12)
+        stability_px: Keeps the previous homography while its median error on the new inliers is below this; 0 fits every frame independently. (0 to 10 px; default 0.8)
+        anchor_fit: Weight of the previous frame's homography relative to all inliers. It stabilises the parts of the image that the overlap does not determine; 0 fits only the inliers. (0 to 4 ratio; default 1)
+        max_rms_px: Maximum root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all. (0 to 100 px; default 18)
+        hold_frames: Number of consecutive failed frames during which the previous homography counts as held; after that it is lost. (0 to 1000 frames; default 5)"""
 
     def register_opencv(
         self,
@@ -2161,18 +2161,18 @@ class NodeTypes:
     ) -> RegisterOpencv:
         """Finds the homography between two overlapping views with OpenCV: whole frames, brute-force matches, RANSAC.
 
-        left: Left view; its pixels are the ones that the homography maps to.
+        left: Left view; the homography maps to its pixels.
         right: Right view of the same instant.
         detector: Kind of features. (default "sift")
-        max_points: Largest number of keypoints per view, strongest first; 0 uses OpenCV's default. (0 to 100000 points; default 0)
+        max_points: Maximum number of keypoints per view, strongest first; 0 uses OpenCV's default. (0 to 100000 points; default 0)
         threshold: Threshold of the detector; 0 uses OpenCV's default (0.04, 0.001, 20). (0 to 1000; default 0)
-        work_megapixels: Size to which larger views are shrunk for the search, in million pixels; 0 searches at full resolution. OpenCV's stitcher takes 0.6. (0 to 10; default 0)
-        ratio: Largest ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.75)
-        mutual: Keeps a match only when each point is the other's best; matches in both directions, which takes twice as long. (default True)
-        ransac_px: Largest reprojection error of an inlier. (0.2 to 20 px; default 3)
-        min_inliers: Smallest number of inliers of a registration. (4 to 1000 points; default 8)
-        max_rms_px: A homography whose inliers are further off than this (root mean square) is not used: the state is lost. 0 uses all. (0 to 100 px; default 18)
-        threads: Number of OpenCV's threads, for the whole process while this node is open. (1 to 64; default 1)"""
+        work_megapixels: Size to which larger views are reduced for the search, in megapixels; 0 searches at full resolution. OpenCV's stitcher uses 0.6. (0 to 10; default 0)
+        ratio: Maximum ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.75)
+        mutual: Keeps a match only when each point is the other's best. Matches in both directions, which takes twice as long. (default True)
+        ransac_px: Maximum reprojection error of an inlier. (0.2 to 20 px; default 3)
+        min_inliers: Minimum number of inliers of a registration. (4 to 1000 points; default 8)
+        max_rms_px: Maximum root mean square error of the inliers. A worse homography is not used: the state is lost. 0 uses all. (0 to 100 px; default 18)
+        threads: Number of OpenCV's threads. Applies to the whole process while this node is open. (1 to 64; default 1)"""
 
     def register_surf(
         self,
@@ -2200,24 +2200,24 @@ class NodeTypes:
     ) -> RegisterSurf:
         """Finds the homography between two overlapping views by SURF and RANSAC, on the overlap seen last.
 
-        left: Left view; its pixels are the ones that the homography maps to.
+        left: Left view; the homography maps to its pixels.
         right: Right view of the same instant.
-        roi: Searches only the overlap of the previous frame, shrunk by `scale`. Off: searches whole frames at full size. (default True)
-        scale: Factor by which the search regions are shrunk when `roi` is on. (1 to 8; default 2)
-        hessian_threshold: Least determinant of the Hessian of a keypoint. (1 to 20000; default 50)
-        max_points: Largest number of keypoints per view, strongest first. (16 to 10000 points; default 400)
-        spread: Spreads the keypoints over the search region: each cell of a 6 x 4 grid takes its share before the strongest fill the rest. (default True)
-        second_look: Locates each keypoint more exactly with Gaussian derivatives; doubles the time. (default False)
+        roi: Searches only the overlap of the previous frame, reduced by `scale`. Off: searches whole frames at full size. (default True)
+        scale: Factor by which the search regions are reduced when `roi` is on. (1 to 8; default 2)
+        hessian_threshold: Minimum determinant of the Hessian of a keypoint. (1 to 20000; default 50)
+        max_points: Maximum number of keypoints per view, strongest first. (16 to 10000 points; default 400)
+        spread: Distributes the keypoints over the search region: each cell of a 6 x 4 grid takes its share before the strongest fill the rest. (default True)
+        second_look: Locates each keypoint more precisely with Gaussian derivatives; doubles the time. (default False)
         octaves: Octaves of the scale space. (1 to 4; default 4)
-        upright: Ignores the orientation of keypoints: for cameras that are hardly rotated against each other. (default True)
-        ratio: Largest ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
-        ransac_px: Largest reprojection error of an inlier. (0.2 to 20 px; default 5)
-        min_inliers: Smallest number of inliers of a registration. (4 to 1000 points; default 8)
-        stability_px: Keeps the previous homography while its median error on the new inliers is below this; 0 fits anew in every frame. (0 to 10 px; default 0.8)
-        anchor_fit: Weight of the previous frame's homography beside that of all inliers. It steadies the parts of the picture that the overlap does not determine; 0 fits the inliers alone. (0 to 4 ratio; default 1)
-        max_rms_px: Largest root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all. (0 to 100 px; default 18)
-        hold_frames: Number of failed frames in a row during which the previous homography counts as held; after them it is lost. (0 to 1000 frames; default 5)
-        strips: Finds narrow overlaps too: when whole views do not match, searches facing sides at full size. Only with `roi`. (default False)"""
+        upright: Ignores the orientation of keypoints, for cameras that are hardly rotated relative to each other. (default True)
+        ratio: Maximum ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
+        ransac_px: Maximum reprojection error of an inlier. (0.2 to 20 px; default 5)
+        min_inliers: Minimum number of inliers of a registration. (4 to 1000 points; default 8)
+        stability_px: Keeps the previous homography while its median error on the new inliers is below this; 0 fits every frame independently. (0 to 10 px; default 0.8)
+        anchor_fit: Weight of the previous frame's homography relative to all inliers. It stabilises the parts of the image that the overlap does not determine; 0 fits only the inliers. (0 to 4 ratio; default 1)
+        max_rms_px: Maximum root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all. (0 to 100 px; default 18)
+        hold_frames: Number of consecutive failed frames during which the previous homography counts as held; after that it is lost. (0 to 1000 frames; default 5)
+        strips: Also finds narrow overlaps: when whole views do not match, searches facing sides at full size. Only with `roi`. (default False)"""
 
     def reproject(
         self,
@@ -2265,18 +2265,18 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Ros2Bag:
-        """Plays a bag of ROS 2: pictures in pairs with their cameras, depth, disparity, points, boxes, poses, joints.
+        """Plays a bag of ROS 2: images in pairs with their cameras, depth, disparity, points, boxes, poses, joints.
 
         path: Folder of a bag with MCAP files, or one MCAP file. (default "")
-        left: Topic of the left view. Empty takes the first picture topic with `left` in its name, or the only one there is. (default "")
-        right: Topic of the right view. Empty takes the first picture topic with `right` in its name. (default "")
-        depth: Topic of depth. Empty takes the first picture topic with `depth` in its name. (default "")
-        disparity: Topic of disparity; empty takes the first one. So do the next ones. (default "")
-        cloud: Topic of points. (default "")
-        detections: Topic of boxes. (default "")
-        pose: Topic of poses. (default "")
-        joints: Topic of joints. (default "")
-        tolerance_ms: Views whose stamps are further apart are no pair. (0 to 1000 ms; default 5)
+        left: Topic of the left view. Empty: the first image topic with `left` in its name, or the only one there is. (default "")
+        right: Topic of the right view. Empty: the first image topic with `right` in its name. (default "")
+        depth: Topic of depth. Empty: the first image topic with `depth` in its name. (default "")
+        disparity: Topic of disparity. Empty: the first one. (default "")
+        cloud: Topic of points. Empty: the first one. (default "")
+        detections: Topic of boxes. Empty: the first one. (default "")
+        pose: Topic of poses. Empty: the first one. (default "")
+        joints: Topic of joints. Empty: the first one. (default "")
+        tolerance_ms: Maximum difference of the stamps of two views of a pair. (0 to 1000 ms; default 5)
         bit_depth: Bit depth of images with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it. (0 to 16; default 0)"""
 
     def ros2_publish(
@@ -2301,7 +2301,7 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Publishes pictures, cameras, depth, disparity, points, boxes, poses and joints as topics of ROS 2.
+        """Publishes images, cameras, depth, disparity, points, boxes, poses and joints as topics of ROS 2.
 
         left: Left view, as `left/image_raw`.
         right: Right view, as `right/image_raw`.
@@ -2312,13 +2312,13 @@ class NodeTypes:
         detections: Boxes, as `detections`.
         pose: A pose, as `pose`, in m.
         joints: Joints of an arm, as `joint_states`.
-        namespace: Before the name of every topic. (default "/panoscope")
-        domain: Domain of DDS, ROS_DOMAIN_ID of the others. (0 to 232; default 0)
+        namespace: Prefix of the name of every topic. (default "/panoscope")
+        domain: DDS domain, the ROS_DOMAIN_ID of other programs. (0 to 232; default 0)
         networks: Which machines can be reached. (default "loopback")
         reliable: Sends lost messages again; readers may still ask for best effort. (default True)
-        queue: Messages of each topic that are kept for slow readers. (1 to 100; default 5)
-        pictures: How pictures of 8 bits are sent. (default "raw")
-        stamps: What stamps count from. (default "clock")"""
+        queue: Number of messages per topic that are kept for slow readers. (1 to 100; default 5)
+        pictures: How 8-bit images are sent. (default "raw")
+        stamps: Origin of the stamps. (default "clock")"""
 
     def ros2_subscribe(
         self,
@@ -2340,9 +2340,9 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Ros2Subscribe:
-        """Receives pictures, cameras, depth, disparity, points, boxes, poses and joints from topics of ROS 2.
+        """Receives images, cameras, depth, disparity, points, boxes, poses and joints from topics of ROS 2.
 
-        left: Topic of the left view, such as /camera/left/image_raw, or of the only one; one that ends with /compressed has JPEG or PNG. Its camera is read from camera_info beside it. (default "")
+        left: Topic of the left view, such as /camera/left/image_raw, or of the only one. A topic that ends with /compressed has JPEG or PNG. Its camera is read from camera_info in the same namespace. (default "")
         right: Topic of the right view. (default "")
         depth: Topic of depth: 32FC1 in m, 16UC1 in mm. (default "")
         disparity: Topic of a DisparityImage. (default "")
@@ -2350,12 +2350,12 @@ class NodeTypes:
         detections: Topic of a Detection2DArray. (default "")
         pose: Topic of a PoseStamped. (default "")
         joints: Topic of a JointState. (default "")
-        tolerance_ms: Views whose stamps are further apart are no pair. (0 to 1000 ms; default 5)
+        tolerance_ms: Maximum difference of the stamps of two views of a pair. (0 to 1000 ms; default 5)
         bit_depth: Bit depth of images with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it. (0 to 16; default 0)
-        domain: Domain of DDS, ROS_DOMAIN_ID of the others. (0 to 232; default 0)
+        domain: DDS domain, the ROS_DOMAIN_ID of other programs. (0 to 232; default 0)
         networks: Which machines can be reached. (default "loopback")
-        reliable: Asks for lost messages again; publishers of best effort do not match then. (default False)
-        queue: Messages of each topic that wait. (1 to 100; default 5)"""
+        reliable: Requests lost messages again; publishers of best effort do not match then. (default False)
+        queue: Maximum number of waiting messages per topic. (1 to 100; default 5)"""
 
     def screen(
         self,
@@ -2372,17 +2372,17 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Screen:
-        """Puts one large picture and smaller ones beside it on a screen.
+        """Puts one large image and smaller ones next to it on a screen.
 
-        main: The large picture: bgr8, gray8 or rgba8.
-        side: Smaller pictures, beside the large one and below it.
+        main: The large image: bgr8, gray8 or rgba8.
+        side: Smaller images, next to the large one and below it.
         width: Width of the screen. (64 to 7680 px; default 1280)
         height: Height of the screen. (64 to 4320 px; default 720)
-        side_share: Width of a column with all smaller pictures, as a share of the screen's width. 0 finds the arrangement that fills the screen: a column beside the large picture, a row below it, or both. (0 to 0.5 ratio; default 0)
-        gap_px: Margin around pictures on a screen 720 px high; it grows with the screen. (0 to 64 px; default 4)
-        titles: Titles separated by semicolons, the large picture's first. Each stands in a strip below its picture; a picture without a title has none. (default "")
-        text_scale: Size of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high. (0.5 to 20; default 2)
-        max_age_ms: Age of its light from which a picture is dimmed and framed, with its age in the middle. 0 shows every picture as it is. (0 to 60000 ms; default 1000)"""
+        side_share: Width of a column with all smaller images, as a share of the screen's width. 0 finds the arrangement that fills the screen: a column next to the large image, a row below it, or both. (0 to 0.5 ratio; default 0)
+        gap_px: Margin around images on a screen 720 px high; it grows with the screen. (0 to 64 px; default 4)
+        titles: Titles separated by semicolons, the large image's first. Each is in a strip below its image; an image without a title has no strip. (default "")
+        text_scale: Scale of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high. (0.5 to 20; default 2)
+        max_age_ms: Age of its light from which an image is dimmed and framed, with its age in the middle. 0 shows every image as it is. (0 to 60000 ms; default 1000)"""
 
     def side_by_side(
         self,
@@ -2397,15 +2397,15 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> SideBySide:
-        """Puts several pictures with titles into one.
+        """Puts several images with titles into one.
 
-        views: Pictures, row after row: bgr8, gray8 or rgba8.
-        columns: Pictures in a row; 0 makes the grid about as wide as it is high. (0 to 64; default 0)
-        cell_width: Width of a cell; 0 takes the first picture's. (0 to 8192 px; default 0)
-        cell_height: Height of a cell; 0 takes the first picture's. (0 to 8192 px; default 0)
-        gap_px: Gap between pictures. (0 to 256 px; default 4)
-        titles: Titles in the order of the pictures, separated by semicolons. Each stands in a strip below its picture; without titles there are no strips. (default "")
-        text_scale: Size of the titles: capital letters are six times as many px high. (0.5 to 20; default 2)"""
+        views: Images, row after row: bgr8, gray8 or rgba8.
+        columns: Images per row; 0 makes the grid about as wide as it is high. (0 to 64; default 0)
+        cell_width: Width of a cell; 0 takes the first image's. (0 to 8192 px; default 0)
+        cell_height: Height of a cell; 0 takes the first image's. (0 to 8192 px; default 0)
+        gap_px: Gap between images. (0 to 256 px; default 4)
+        titles: Titles in the order of the images, separated by semicolons. Each is in a strip below its image; without titles there are no strips. (default "")
+        text_scale: Scale of the titles: capital letters are six times as many px high. (0.5 to 20; default 2)"""
 
     def skill(
         self,
@@ -2430,17 +2430,17 @@ class NodeTypes:
 
         tip: Tips in the left rectified camera's frame, mm. Connect one `tip_track` per hand.
         camera_pose: Pose of the left camera in the scene. Without it the camera's own movement counts as the tips' movement.
-        phase: Name of the present phase of the operation.
+        phase: Name of the current phase of the operation.
         proximity: Table of `proximity`. With it, touches of the tissue are counted.
         tools: Which tips belong to one tool. (default "input")
-        min_score: Lowest score of a tip that is used. The score of a predicted tip falls with time. (0 to 1 ratio; default 0.3)
-        max_gap_ms: Longest gap between two tips that is bridged. After a longer gap the tool was out of view. (10 to 5000 ms; default 250)
-        window_ms: Half the width of the window from which speed is computed. (10 to 1000 ms; default 80)
+        min_score: Minimum score of a tip that is used. The score of a predicted tip falls with time. (0 to 1 ratio; default 0.3)
+        max_gap_ms: Maximum gap between two tips that is bridged. After a longer gap the tool was out of view. (10 to 5000 ms; default 250)
+        window_ms: Half the width of the window over which speed is computed. (10 to 1000 ms; default 80)
         rest_mm_s: Speed below which a tool counts as resting. (0.1 to 50 mm/s; default 3)
-        rest_ms: Shortest rest that counts as idle time. (10 to 10000 ms; default 300)
-        knot_ms: Distance of the knots of the spline that jerk is computed from. (20 to 1000 ms; default 100)
+        rest_ms: Minimum duration of a rest that counts as idle time. (10 to 10000 ms; default 300)
+        knot_ms: Distance between the knots of the spline from which jerk is computed. (20 to 1000 ms; default 100)
         touch_mm: Distance to the tissue below which a tip counts as touching it. (-5 to 20 mm; default 1.5)
-        touch_ms: Shortest touch that counts. (0 to 10000 ms; default 200)"""
+        touch_ms: Minimum duration of a touch. (0 to 10000 ms; default 200)"""
 
     def smooth(
         self,
@@ -2451,10 +2451,10 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Smooth:
-        """Averages pictures over time.
+        """Averages images over time.
 
-        image: The picture.
-        past: What this node made of the tick before: wire its own output here with `delay = 1`.
+        image: The newest image.
+        past: Output of this node at the previous tick: wire its own output here with `delay = 1`.
         past_weight: Weight of the past, in 1/256. (0 to 255; default 192)"""
 
     def stereo_bm(
@@ -2525,13 +2525,13 @@ class NodeTypes:
 
         left: Rectified left view.
         right: Right view of the same instant, same size.
-        method: Which matcher. (default "bm")
-        auto_offset: Find the offset of the search from the region that the views share. (default True)
-        min_disparity_px: Smallest disparity searched when the offset is not found from the pictures. (-1024 to 1500 px; default 0)
+        method: Matching algorithm. (default "bm")
+        auto_offset: Finds the offset of the search from the region that both views share. (default True)
+        min_disparity_px: Minimum disparity searched when the offset is not found from the images. (-1024 to 1500 px; default 0)
         search_px: Width of the disparity search. (16 to 512 px; default 64)
         block_px: Side of the window: at least 5 for block matching. (3 to 31 px; default 15)
-        own_checks: Block matching's tests of texture and uniqueness. OpenCV's sample `disparity_filtering` switches them off in front of `disparity_wls_opencv`, which evaluates the matches itself. (default True)
-        threads: Number of OpenCV's threads, for the whole process while this node is open. (1 to 64; default 1)"""
+        own_checks: Checks of texture and uniqueness by block matching. OpenCV's sample `disparity_filtering` disables them in front of `disparity_wls_opencv`, which evaluates the matches itself. (default True)
+        threads: Number of OpenCV's threads. Applies to the whole process while this node is open. (1 to 64; default 1)"""
 
     def stereo_sgbm(
         self,
@@ -2598,18 +2598,18 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Serves the picture as live video over RTSP, or sends it to a server.
+        """Serves its input as live video over RTSP, or sends it to a server.
 
-        image: Pictures to send: bgr8, gray8 or rgba8.
+        image: Frames to send: bgr8, gray8 or rgba8.
         serve: Serves RTSP at rtsp://ADDRESS:PORT/PATH. Several `stream` nodes share a port with different paths. (default True)
-        address: Address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees the pictures: there is no password. 0.0.0.0 listens on all networks. (default "127.0.0.1")
-        port: TCP port to listen on; 0 takes a free one, which the log names. (0 to 65535; default 8554)
+        address: Address of this machine to listen on. 127.0.0.1 serves only programs on this machine. 0.0.0.0 listens on all networks. There is no password: anybody who reaches the port sees the video. (default "127.0.0.1")
+        port: TCP port to listen on. 0 takes a free port, which the log names. (0 to 65535; default 8554)
         path: Path of the stream on its server. (default "/live")
-        codec: How pictures are compressed. (default "h264")
-        bitrate: Bit rate of `h264` and `hevc` at 30 pictures per second. (50 to 100000 kbit/s; default 4000)
-        key_interval: Distance of key frames of `h264` and `hevc`. A client that joins gets one at once; after a lost packet the picture is whole again with the next one. (1 to 1000 frames; default 30)
+        codec: Compression of the stream. (default "h264")
+        bitrate: Bit rate of `h264` and `hevc` at 30 frames per second. (50 to 100000 kbit/s; default 4000)
+        key_interval: Distance of keyframes of `h264` and `hevc`. A client that joins gets one at once; after a lost packet the image is complete again with the next one. (1 to 1000 frames; default 30)
         quality: Quality of `mjpg`. (1 to 100 %; default 80)
-        push: Address to send the stream to besides: rtsp://HOST:PORT/PATH, a server that takes recordings, or udp://HOST:PORT, as RTP packets. Empty: none. (default "")"""
+        push: Additional address to send the stream to: rtsp://HOST:PORT/PATH, a server that accepts recordings, or udp://HOST:PORT, as RTP packets. Empty: none. (default "")"""
 
     def tip_track(
         self,
@@ -2630,16 +2630,16 @@ class NodeTypes:
     ) -> TipTrack:
         """Tracks the leading tool's tip in space: filters it, distinguishes it from other tips, predicts it over short gaps.
 
-        tip: Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their pictures. Wire a detector that is slower than the camera with `align = "latest"`: each of its tips is used once, with the age of its picture.
-        hidden: Tips that another tool covers: the output `hidden` of `tool_tip`. A leading tool whose tip is covered keeps the lead for up to 5 s.
+        tip: Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their images. Wire a detector that is slower than the camera with `align = "latest"`: each of its tips is used once, with the age of its image.
+        hidden: Tips that another tool hides: the output `hidden` of `tool_tip`. A leading tool whose tip is hidden keeps the lead for up to 5 s.
         camera_pose: Pose of the left camera in the scene. Without it the camera's own movement counts as the tip's movement.
         calibration: Calibration of the rectified views, for the uncertainty of depth and for the pixels of predicted tips.
         acceleration: Standard deviation of a tool's unknown acceleration, mm/s^2. Higher values follow faster and are less smooth. (1 to 5000; default 200)
-        gate: Squared Mahalanobis distance above which a detection is not of this tip; 16.3 accepts 99.9 % of the true ones. (1 to 200; default 16.3)
-        lateral_px: Standard deviation of a tip's position in the picture. (0.05 to 20 px; default 1)
+        gate: Squared Mahalanobis distance above which a detection does not belong to this tip; 16.3 accepts 99.9 % of the true ones. (1 to 200; default 16.3)
+        lateral_px: Standard deviation of a tip's position in the image. (0.05 to 20 px; default 1)
         disparity_px: Standard deviation of a tip's disparity. (0.05 to 20 px; default 0.5)
-        min_score: Lowest score of a tip that is used. (0 to 1 ratio; default 0.3)
-        max_gap_ms: Longest prediction of an unseen tip; after it the tip is lost. (0 to 2000 ms; default 300)
+        min_score: Minimum score of a tip that is used. (0 to 1 ratio; default 0.3)
+        max_gap_ms: Maximum duration of a prediction without a detection; after it the tip is lost. (0 to 2000 ms; default 300)
         switch_ms: Time for which only other tools must be seen before one of them leads. (0 to 10000 ms; default 600)"""
 
     def tool_tip(
@@ -2662,18 +2662,18 @@ class NodeTypes:
     ) -> ToolTip:
         """Finds the leading tool's tip, in px and in mm.
 
-        detections: Boxes of tools in the left rectified view. Boxes of a detector that is slower than the camera (wired with `align = "latest"`) are moved along with the tip, and the tool is segmented in the picture of this tick: a tip is as new as `image`, not as its box.
+        detections: Boxes of tools in the left rectified view. Boxes of a detector that is slower than the camera (wired with `align = "latest"`) are moved along with the tip, and the tool is segmented in the image of this tick: a tip is as new as `image`, not as its box.
         instances: Tools with masks; used instead of boxes.
-        image: The picture in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both the tip is the end of the box, wrong by up to half the box's width.
+        image: Image in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the tip is the end of the box, wrong by up to half the box's width.
         right: Right rectified view of the same tick, bgr8. With it the depth of a segmented tool end is found by comparing both views. Tool ends are often thinner than a matcher's window, which returns the depth of the tissue there.
         depth: Depth of the left rectified view, mm, for the position in space.
-        disparity: Disparity of the left rectified view, px, used where no depth is connected. Connect the matcher's map: filters fill unmatched pixels and so mix a thin tool end with the tissue behind it.
+        disparity: Disparity of the left rectified view, px, used if no depth is connected. Connect the matcher's map: filters fill unmatched pixels and so mix a thin tool end with the tissue behind it.
         calibration: Calibration of the rectified views, for the position in space.
         class_: Name of the class to follow; empty takes any. (default "")
-        min_score: Lowest score of a tool. Without a given class, the scores of overlapping boxes of several classes are added. (0 to 1 ratio; default 0.3)
-        keep_score: Lowest score of a box that overlaps the previous box of the leading tool: a weak box at the position of a certain tool is that tool (after Zhang et al. 2022, ByteTrack). (0 to 1 ratio; default 0.1)
+        min_score: Minimum score of a tool. Without a given class, the scores of overlapping boxes of several classes are added. (0 to 1 ratio; default 0.3)
+        keep_score: Minimum score of a box that overlaps the previous box of the leading tool: a weak box at the position of a certain tool is that tool (after Zhang et al. 2022, ByteTrack). (0 to 1 ratio; default 0.1)
         radius_px: Radius around the tip within which depth is read. (1 to 64 px; default 6)
-        max_age_ms: Age up to which a box is used, and time for which the last box is used while the detector finds none. (0 to 1000 ms; default 300)"""
+        max_age_ms: Maximum age of a box that is used, and time for which the last box is used while the detector finds none. (0 to 1000 ms; default 300)"""
 
     def trajectory(
         self,
@@ -2692,19 +2692,19 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Trajectory:
-        """Draws the trajectory of a tool's tip on the picture and in a box.
+        """Draws the trajectory of a tool's tip on the image and in a box.
 
         image: The left rectified view.
         tip: The tip in the left rectified camera's frame, mm.
         camera_pose: Pose of the left camera in the scene. Without it the trajectory is drawn relative to the camera.
         calibration: Calibration of the rectified views, to project positions to pixels.
-        detections: Instruments that the box stays off.
+        detections: Instruments that the box does not cover.
         length: Length of the trajectory. (2 to 3000 frames; default 240)
-        goal_mm: Marks where an arm keeps the tip: the middle of what both cameras see, at this distance from the left camera. Without `camera_pose` there is no arm and no mark; 0 draws none. (0 to 200 mm; default 66)
-        show_box: Draws the trajectory in a box too, seen in perspective. (default True)
-        box_share: Width of the box, as a share of the picture's width. (0.1 to 1 ratio; default 0.3)
-        line_px: Width of lines in pictures up to 640 px wide; in wider ones they grow with the picture. (0.5 to 20 px; default 2)
-        text_scale: Size of text: capital letters are six times as many px high. (0.5 to 20; default 1.5)"""
+        goal_mm: Marks the position at which an arm keeps the tip: the middle of what both cameras see, at this distance from the left camera. Without `camera_pose` there is no arm and no mark; 0 draws none. (0 to 200 mm; default 66)
+        show_box: Also draws the trajectory in a box, in perspective. (default True)
+        box_share: Width of the box, as a share of the image's width. (0.1 to 1 ratio; default 0.3)
+        line_px: Width of lines in images up to 640 px wide; in wider ones it grows with the image. (0.5 to 20 px; default 2)
+        text_scale: Scale of text: capital letters are six times as many px high. (0.5 to 20; default 1.5)"""
 
     def transpose(
         self,
@@ -2714,10 +2714,10 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Transpose:
-        """Swaps rows and columns of a picture or a disparity map, so that views above one another can be matched.
+        """Swaps rows and columns of an image or a disparity map, so that views above one another can be matched.
 
-        image: A picture.
-        disparity: A disparity map, px, NaN where unmatched."""
+        image: Image to transpose.
+        disparity: Disparity map to transpose, px, NaN where unmatched."""
 
     def turntable(
         self,
@@ -2741,18 +2741,18 @@ class NodeTypes:
         """Shows a point cloud as a surface that turns, with a ruler in mm.
 
         cloud: Points of `reproject`, mm. Those that were filled in are drawn darker.
-        calibration: Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
-        drifted: Above 0 while the calibration does not fit the views, as a matcher tells: no length is stated then.
-        width: Width of the picture. (16 to 4096 px; default 640)
-        height: Height of the picture. (16 to 4096 px; default 480)
-        yaw_deg: Middle angle of the turn about the vertical axis; 0 is the camera's own direction. (-180 to 180 deg; default 0)
-        pitch_deg: Angle about the horizontal axis; above 0 looks from above. (-89 to 89 deg; default 20)
+        calibration: Calibration of the rectified views, for the baseline. Without it 5 mm is assumed, the baseline of a narrow scope.
+        drifted: Above 0 while the calibration does not fit the views, as a matcher reports it. No length is shown then.
+        width: Width of the image. (16 to 4096 px; default 640)
+        height: Height of the image. (16 to 4096 px; default 480)
+        yaw_deg: Mean angle of the turn about the vertical axis; 0 is the camera's own direction. (-180 to 180 deg; default 0)
+        pitch_deg: Angle about the horizontal axis; positive angles look from above. (-89 to 89 deg; default 20)
         swing_deg: Angle by which it turns to each side; 180 is a full turn. (0 to 180 deg; default 40)
-        period: Number of pictures for one turn to and fro. (2 to 100000 frames; default 240)
-        zoom: Magnification; 1 fills the picture when seen from the front. (0.1 to 20 ratio; default 0.9)
-        step: Spacing of the points that form the surface. 0 takes as many as the picture shows: one for every third of its columns. (0 to 16 px; default 2)
-        max_gradient: Largest change of disparity between neighbours of one surface by their distance in the picture, px by px; others are not connected. (0.1 to 100 ratio; default 1.5)
-        shading: Strength of the shading of parts that face away. (0 to 1 ratio; default 0.6)"""
+        period: Number of images for one turn to and fro. (2 to 100000 frames; default 240)
+        zoom: Magnification; 1 fills the image when seen from the front. (0.1 to 20 ratio; default 0.9)
+        step: Spacing of the points that form the surface. 0 takes as many as the image can show: one for every third of its columns. (0 to 16 px; default 2)
+        max_gradient: Maximum change of disparity per px of distance between neighbours of one surface; others are not connected. (0.1 to 100 ratio; default 1.5)
+        shading: Strength of the shading of surfaces that face away. (0 to 1 ratio; default 0.6)"""
 
     def webrtc(
         self,
@@ -2766,14 +2766,14 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Serves the picture as live video to web browsers (WebRTC).
+        """Serves its input as live video to web browsers (WebRTC).
 
-        image: Pictures to send: bgr8, gray8 or rgba8.
-        address: Address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees the pictures: there is no password. 0.0.0.0 listens on all networks. (default "127.0.0.1")
-        port: TCP port of the page, http://ADDRESS:PORT/PATH; 0 takes a free one, which the log names. The video itself takes a free UDP port for each viewer. Several `webrtc` nodes share a port with different paths. (0 to 65535; default 8889)
+        image: Frames to send: bgr8, gray8 or rgba8.
+        address: Address of this machine to listen on. 127.0.0.1 serves only programs on this machine. 0.0.0.0 listens on all networks. There is no password: anybody who reaches the port sees the video. (default "127.0.0.1")
+        port: TCP port of the page, http://ADDRESS:PORT/PATH. 0 takes a free port, which the log names. The video itself uses a free UDP port for each viewer. Several `webrtc` nodes share a port with different paths. (0 to 65535; default 8889)
         path: Path of the page, which is also the WHEP endpoint for players. (default "/live")
-        bitrate: Bit rate at 30 pictures per second. (50 to 100000 kbit/s; default 4000)
-        key_interval: Distance of key frames. A viewer that joins or has lost a packet gets one at once. (1 to 1000 frames; default 300)"""
+        bitrate: Bit rate at 30 frames per second. (50 to 100000 kbit/s; default 4000)
+        key_interval: Distance of keyframes. A viewer that joins or has lost a packet gets one at once. (1 to 1000 frames; default 300)"""
 
     def write_cloud(
         self,
@@ -2789,12 +2789,12 @@ class NodeTypes:
     ) -> Node:
         """Writes point clouds as binary PLY files with colour.
 
-        cloud: Points in mm with colours; unknown points are skipped, those filled in have the property `filled` 1.
-        calibration: Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
-        path: File to write, ending in .ply. `{seq}` becomes the tick's number; without it each cloud replaces the previous one. (default "out/cloud.ply")
-        every: Number of clouds per written one. (1 to 100000 frames; default 1)
-        mesh: Writes the surface between neighbouring points as triangles, too. (default False)
-        max_gradient: Largest change of disparity between neighbours of one surface by their distance in the picture, px by px; others are not connected. (0.1 to 100 ratio; default 1.5)"""
+        cloud: Points in mm with colours. Unknown points are skipped; points that were filled in have the property `filled` 1.
+        calibration: Calibration of the rectified views, for the baseline. Without it 5 mm is assumed, the baseline of a narrow scope.
+        path: File to write, with the extension .ply. `{seq}` becomes the tick's number; without it each cloud replaces the previous one. (default "out/cloud.ply")
+        every: Every n-th cloud is written. (1 to 100000 frames; default 1)
+        mesh: Also writes the surface between neighbouring points as triangles. (default False)
+        max_gradient: Maximum change of disparity per px of distance between neighbours of one surface; others are not connected. (0.1 to 100 ratio; default 1.5)"""
 
     def write_images(
         self,
@@ -2809,14 +2809,14 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Writes pictures as PNG or JPEG files.
+        """Writes images as PNG or JPEG files.
 
-        image: Picture to write: bgr8, gray8, rgba8 or gray16.
+        image: Image to write: bgr8, gray8, rgba8 or gray16.
         mask: Mask to write, black and white.
-        path: File to write, ending in .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it every picture replaces the one before. (default "out/image.png")
-        every: Writes only every so many pictures. (1 to 100000 frames; default 1)
-        limit: Stops writing after so many files; 0 never. (0 to 1000000000 frames; default 0)
-        at_end: Writes only the last bgr8 picture, when the graph ends; `every` then is the number of ticks between the pictures considered. (default False)
+        path: File to write, with the extension .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it every image replaces the previous one. (default "out/image.png")
+        every: Every n-th image is written. (1 to 100000 frames; default 1)
+        limit: Stops writing after this many files; 0 never. (0 to 1000000000 frames; default 0)
+        at_end: Writes only the last bgr8 image, when the graph ends; `every` is then the number of ticks between the images considered. (default False)
         jpeg_quality: Quality of JPEG files. (1 to 100 %; default 92)"""
 
     def write_raw(
@@ -2840,8 +2840,8 @@ class NodeTypes:
         depth: Depth map in mm, NaN where unknown.
         confidence: Confidence, 0 to 1.
         mask: Mask, 0 or 255.
-        path: File to write; its ending chooses the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes the tick's number, `{port}` the input's name; with several inputs the name is added where `{port}` is missing. (default "out/plane.pfm")
-        every: Number of ticks per written one. (1 to 100000 frames; default 1)
+        path: File to write. Its extension selects the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes the tick's number, `{port}` the input's name; with several inputs the name is added if `{port}` is missing. (default "out/plane.pfm")
+        every: Every n-th tick is written. (1 to 100000 frames; default 1)
         limit: Number of ticks after which writing stops; 0 never stops. (0 to 1000000000 frames; default 0)"""
 
     def write_table(
@@ -2874,8 +2874,8 @@ class NodeTypes:
         text: A text.
         detections: Boxes.
         instances: Boxes with masks.
-        path: File to write: .jsonl holds one JSON object per tick, .csv one line per tick or table row, .json is one COCO file of all detections or instances, written at the end; until then each tick is a line of a file beside it, ending in .json.journal, which a run that is cut off leaves. A node that is opened again in the same run continues in .part2.jsonl and so on. (default "out/table.jsonl")
-        image_name: Name of each tick's picture in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png. (default "")"""
+        path: File to write. .jsonl: one JSON object per tick. .csv: one line per tick or table row. .json: one COCO file of all detections or instances, written at the end; until then each tick is a line of a file with the extension .json.journal next to it, which remains if the run is cut off. A node that is reopened in the same run continues in .part2.jsonl and so on. (default "out/table.jsonl")
+        image_name: Name of each tick's image in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png. (default "")"""
 
     def write_video(
         self,
@@ -2891,15 +2891,15 @@ class NodeTypes:
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Node:
-        """Writes pictures as a video file.
+        """Writes frames as a video file.
 
-        image: Pictures to write: bgr8, gray8 or rgba8.
-        path: File to write: .mkv, .webm, .mp4, .mov or .avi. .mkv and .webm survive a crash and play to the last picture; the others do not. A node that is opened again in the same run continues in .part2.mkv and so on. (default "out/video.mkv")
-        codec: How the pictures are compressed. .mkv holds every codec. (default "mjpg")
-        fps: Frames per second, whatever the times of the pictures. 0 gives each picture its own time, to the ms; in .avi the first two pictures set the rate, and later ones are repeated where they lie farther apart. (0 to 1000 Hz; default 0)
-        time: Time that the frames have. (default "capture")
+        image: Frames to write: bgr8, gray8 or rgba8.
+        path: File to write: .mkv, .webm, .mp4, .mov or .avi. .mkv and .webm survive a crash and play to the last frame; the others do not. A node that is reopened in the same run continues in .part2.mkv and so on. (default "out/video.mkv")
+        codec: Compression of the video. .mkv holds every codec. (default "mjpg")
+        fps: Constant frame rate, whatever the times of the frames. 0 gives each frame its own time, to the ms; in .avi the first two frames set the rate, and later ones are repeated if they are further apart. (0 to 1000 Hz; default 0)
+        time: Timestamps of the frames. (default "capture")
         replace: Replaces the file of an earlier run; otherwise the video is written to the next .part file that does not exist. (default True)
-        quality: Quality of `mjpg`, `mpeg4` and `vp8`. Those two take a new value when the file is opened again. (1 to 100 %; default 90)
+        quality: Quality of `mjpg`, `mpeg4` and `vp8`. `mpeg4` and `vp8` use a new value from the next file on. (1 to 100 %; default 90)
         crf: Constant quality of `h264` and `hevc`, as the encoder's constant rate factor: 18 looks like the original, 23 is usual, 28 gives small files. (1 to 50 CRF; default 20)"""
 
     def yolo(
@@ -2930,23 +2930,23 @@ class NodeTypes:
     ) -> Yolo:
         """Finds surgical tools with a detector network.
 
-        image: Picture to search, bgr8 or gray8.
-        mask: What of the picture is lit, not 0. Boxes that lie outside by more than half are dropped; without it all is lit.
+        image: Image to search, bgr8 or gray8.
+        mask: Nonzero where the image is illuminated. Boxes that are more than half outside are dropped. Unconnected: the whole image.
         model: ONNX file of the network. (default "models/instruments.onnx")
         layout: Family of the export. (default "auto")
-        min_score: Lowest score of a box. (0.001 to 1 ratio; default 0.3)
-        calibrated: Turns scores into the probability that a box and its class are right, where the model carries a calibration. Off: scores as the network gives them, and no `unknown`. (default True)
-        unknown_below: Least probability of a box's class, given that the box is on an instrument. Below it the class is reported as `unknown`, with the probability of any instrument as score. 0 always names the likeliest class. Takes effect where the model's calibration includes objectness. (0 to 1 ratio; default 0.5)
-        class_limits: Uses the lowest probability of each class that the model carries, at which the share of right boxes was as large as asked for at its export, where it is above `min_score`. (default False)
+        min_score: Minimum score of a box. (0.001 to 1 ratio; default 0.3)
+        calibrated: Converts scores to the probability that a box and its class are correct, if the model has a calibration. Off: scores as the network outputs them, and no `unknown`. (default True)
+        unknown_below: Minimum probability of a box's class, given that the box is on an instrument. Below it the class is reported as `unknown`, with the probability of any instrument as score. 0 always names the most probable class. Takes effect if the model's calibration includes objectness. (0 to 1 ratio; default 0.5)
+        class_limits: Applies the minimum probability of each class that the model contains, at which the share of correct boxes was as large as requested at its export, if it is above `min_score`. (default False)
         max_overlap: Overlap (intersection over union) above which the box with the lower score is dropped. (0.05 to 1 ratio; default 0.5)
-        class_agnostic: Boxes of different classes suppress each other too. (default False)
-        max_boxes: Largest number of boxes in the output. (1 to 1000; default 50)
+        class_agnostic: Boxes of different classes also suppress each other. (default False)
+        max_boxes: Maximum number of boxes in the output. (1 to 1000; default 50)
         labels: File with the names of the classes, one per line. Empty: the names in the model file. (default "")
         input_width: Width of the network's input, for models that accept any size. (32 to 4096 px; default 640)
         input_height: Height of the network's input, for models that accept any size. (32 to 4096 px; default 640)
         track: Gives each tool a number (`track_id`) that it keeps over time. (default True)
-        vote_s: Gives a tracked tool the class that it had most often: votes weigh as much as their score, and half as much after this time. 0: each picture's own class. Best with boxes of one class per tool (`class_agnostic`). (0 to 60 s; default 0)
-        unlike_s: Time over which the deviation of the pictures from those learned from is smoothed. (0 to 60 s; default 2)
+        vote_s: Gives a tracked tool the class that it had most often: votes are weighted by score, and their weight halves after this time. 0: the class in each image. Best with boxes of one class per tool (`class_agnostic`). (0 to 60 s; default 0)
+        unlike_s: Time constant of the smoothing of `unlikeness`. (0 to 60 s; default 2)
         unlike: What happens to the boxes while `unlikeness` is 1 or more. (default "keep")
         threads: Number of threads of the network; 0 uses as many as the host has. (0 to 64; default 0)
-        provider: What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the processor does, with a warning. (default "cpu")"""
+        provider: Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is used, with a warning. (default "cpu")"""

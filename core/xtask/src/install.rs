@@ -220,7 +220,7 @@ mod tests {
         if system.iter().all(|folder| !Path::new(folder).join("libonnxruntime.so").exists()) {
             fs::remove_dir_all(dir.join(LIBRARY).join("onnxruntime")).unwrap();
             let (code, said) = run(&dir);
-            assert!(code == Some(1) && said.contains("ONNX Runtime's shared library is not there"), "{code:?} {said}");
+            assert!(code == Some(1) && said.contains("ONNX Runtime's shared library was not found"), "{code:?} {said}");
         }
         fs::remove_dir_all(&dir).unwrap();
         fs::remove_dir_all(&work).unwrap();

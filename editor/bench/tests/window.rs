@@ -114,7 +114,7 @@ fn rebuilt_plugins_are_loaded_by_a_key_and_damaged_ones_are_refused() {
     window.key(NONE, Key::M);
     assert_eq!(window.app().session().status().generation, old);
 
-    let (was, is) = (b"Forwards pictures without a copy.", b"Forwards pictures, newly compiled");
+    let (was, is) = (b"Forwards frames without a copy.", b"Forwards frames, newly compiled");
     let mut rebuilt = whole.clone();
     let at = rebuilt.windows(was.len()).position(|w| w == was).expect("the text of `pass`");
     rebuilt[at..at + is.len()].copy_from_slice(is);

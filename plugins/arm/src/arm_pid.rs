@@ -1,4 +1,4 @@
-//! `arm_pid`: from the tip's error in the picture (px) and in distance (mm) to joint velocities (thesis, chapter 6, fig. 6.3).
+//! `arm_pid`: from the tip's error in the image (px) and in distance (mm) to joint velocities (thesis, chapter 6, fig. 6.3).
 
 use std::path::PathBuf;
 
@@ -11,21 +11,20 @@ use panoscope_tracking::real_time::RealTime;
 
 use crate::joints::{angles, arm_of, check_arm, packet};
 
-/// Inputs.
+/// Input ports of `arm_pid`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The tip to follow, in the left rectified camera's frame, mm. Empty: no velocities are requested.
     tip: Option<Value<'f, Tip>>,
-    /// Joint angles when the picture was taken: the driver's `joints`, wired with `delay = 1`.
+    /// Joint angles when the image was taken: the driver's `joints`, wired with `delay = 1`.
     joints: Option<Value<'f, Joints>>,
-    /// The driver's newest set-points, wired with `delay = 1`. With them the controller takes set-points into account that the arm has not reached
-    /// yet.
+    /// Newest set-points of the driver, wired with `delay = 1`. With them the controller accounts for set-points that the arm has not reached yet.
     setpoint: Option<Value<'f, Joints>>,
     /// Calibration of the rectified views; without it `focal_px` and `baseline_mm` are used.
     calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Outputs.
+/// Output ports of `arm_pid`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Requested joint velocities (rad/s), with the present joint angles (rad). Empty without a tip.
@@ -44,13 +43,13 @@ pub struct PidParams {
     /// Distance of the tip from the left camera.
     #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
     distance_mm: f64,
-    /// Proportional gain of the tip's position in the picture, 1/s.
+    /// Proportional gain of the tip's position in the image, 1/s.
     #[param(default = 6.0, range = 0.0..=20.0, step = 0.1)]
     picture_p: f64,
-    /// Integral gain of the tip's position in the picture, 1/s^2.
+    /// Integral gain of the tip's position in the image, 1/s^2.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     picture_i: f64,
-    /// Derivative gain of the tip's measured position in the picture: a new goal causes no kick.
+    /// Derivative gain on the tip's measured position in the image. A new goal causes no kick, because the goal is not differentiated.
     #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     picture_d: f64,
     /// Proportional gain of the distance, 1/s.
@@ -59,7 +58,7 @@ pub struct PidParams {
     /// Integral gain of the distance, 1/s^2.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     distance_i: f64,
-    /// Derivative gain of the measured distance.
+    /// Derivative gain on the measured distance.
     #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     distance_d: f64,
     /// Time constant of the low-pass filter of the derivatives.
@@ -68,7 +67,7 @@ pub struct PidParams {
     /// Share of the tip's own velocity that is fed forward.
     #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     feed_forward: f64,
-    /// Dead zone of the error in the picture, for 640 columns.
+    /// Dead zone of the error in the image, for 640 columns.
     #[param(default = 2.0, range = 0.0..=50.0, step = 0.5, unit = "px")]
     dead_zone_px: f64,
     /// Dead zone of the error of the distance.
@@ -91,14 +90,14 @@ pub struct PidParams {
     baseline_mm: f64,
 }
 
-/// Focal length at 640 columns, which the dead zone is stated for, px.
+/// Focal length at 640 columns for which the dead zone is stated, px.
 const THESIS_FOCAL_PX: f64 = 750.0;
-/// Fastest that an error is asked to go back, at 640 columns, px/s and mm/s, beside what is fed forward: faster than this the joints' accelerations
-/// limit the movement, and the tube misses the trocar by more.
+/// Speed limit for correcting an error, at 640 columns, px/s and mm/s, in addition to the feed-forward. Above it the joints' accelerations limit the
+/// movement, and the tube misses the trocar by more.
 const MAX_PX_S: f64 = 250.0;
 const MAX_MM_S: f64 = 20.0;
 
-/// Columns of the table.
+/// Columns of the table, in order.
 pub const COLUMNS: [&str; 10] = [
     "error_u_px",
     "error_v_px",
@@ -143,7 +142,7 @@ impl PidParams {
     }
 }
 
-/// The controller.
+/// PID controller with feed-forward of the tip's velocity.
 pub struct ArmPid {
     controller: Controller,
     time: RealTime,
@@ -153,7 +152,7 @@ impl Node for ArmPid {
     const INFO: NodeInfo = NodeInfo::compute(
         "arm_pid",
         "arm",
-        "Requests joint velocities about the trocar that bring the tip to the centre of the shared picture and to its distance.",
+        "Requests joint velocities about the trocar that bring the tip to the centre of the shared image and to its distance.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

@@ -1,5 +1,5 @@
-//! `arm_sim`: a simulated six-axis arm in virtual time (the media time of its ticks), behind the interlock. Ages are those of the host: in a live
-//! run a tip is as old as its light.
+//! `arm_sim`: a simulated six-axis arm behind the interlock. It moves in virtual time (the media time of its ticks). Ages are those of the host: in a
+//! live run a tip is as old as the light that it comes from.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use crate::declared::{In, MotionOut, StopParams};
 use crate::guard::{self, Switches, age_ns, duration_ns};
 use crate::joints::{arm_of, check_arm, requested};
 
-/// Outputs.
+/// Output ports of `arm_sim`.
 #[derive(Ports)]
 pub struct Out<'f> {
     #[ports(flatten)]
@@ -23,11 +23,11 @@ pub struct Out<'f> {
     /// One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, speed and acceleration
     /// of the camera, distance of the tube from the trocar, its depth and its tilt.
     table: Slot<'f, TableData>,
-    /// State of the arm in words.
+    /// State of the arm as text.
     text: Slot<'f, TextPacket>,
 }
 
-/// Parameters.
+/// Parameters of `arm_sim`.
 #[derive(Params)]
 pub struct SimParams {
     /// URDF file of the arm; empty takes the arm that comes with the plugin.
@@ -49,11 +49,11 @@ pub struct SimParams {
     encoder_noise_deg: f64,
 }
 
-/// Columns of the table.
+/// Columns of the table, in order.
 pub const COLUMNS: [&str; 9] =
     ["following", "cause", "stops", "speed_rad_s", "camera_mm_s", "pivot_mm", "depth_mm", "tilt_deg", "camera_mm_s2"];
 
-/// See the module.
+/// The `arm_sim` node.
 pub struct ArmSim {
     lock: Interlock,
     arm: SimArm,
@@ -64,7 +64,7 @@ pub struct ArmSim {
     started: bool,
     /// When the light of the newest tip arrived, ns of the host's clock.
     tip_light_ns: Option<i64>,
-    /// The camera at the previous tick: position (mm), velocity (mm/s), time (ns).
+    /// State of the camera at the previous tick: position (mm), velocity (mm/s), time (ns).
     last: Option<(Vector3<f64>, Vector3<f64>, i64)>,
     words: String,
 }
@@ -176,7 +176,7 @@ impl Node for ArmSim {
         out.table.set_table(&COLUMNS, &row)
     }
 
-    /// Angles, and the cause of a latched stop: a replacement must not release a stop that a person latched.
+    /// Saves the joint angles and the cause of a latched stop: a replacement must not release a stop that a person latched.
     fn save_state(&self) -> Option<Vec<u8>> {
         let latched = self.lock.latched().map_or(0, |cause| cause.number() as u64);
         let words = self.lock.set_point().position.iter().map(|v| v.to_bits()).chain([latched]);
@@ -186,7 +186,7 @@ impl Node for ArmSim {
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
         let words: Vec<u64> = state.chunks_exact(8).map(|b| b.try_into().map_or(0, u64::from_le_bytes)).collect();
         if words.len() != JOINTS + 1 {
-            return Err(error!("the state of another arm: {} numbers", words.len()));
+            return Err(error!("the saved state has {} numbers, which do not fit this arm", words.len()));
         }
         let angles = JointVector::from_fn(|k, _| f64::from_bits(words[k]));
         *self = Self::at(self.lock.chain().clone(), angles, self.quality);

@@ -1,4 +1,4 @@
-//! What both drivers of an arm declare: their inputs, the outputs about its movement, the parameters that stop it.
+//! Ports and parameters that both arm drivers share: inputs, outputs about the movement, parameters that stop the arm.
 
 use nalgebra::Isometry3;
 use panoscope_arm_core::JointVector;
@@ -36,10 +36,10 @@ pub struct MotionOut<'f> {
 pub type Motion<'a> = (&'a JointVector, &'a JointVector);
 
 impl MotionOut<'_> {
-    /// Makes all outputs: `stance` is where the arm is, `base_from_scene` the left camera's pose at joint angles of 0.
+    /// Sets all outputs. `stance` holds the present angles and velocities, `base_from_scene` the left camera's pose at joint angles of 0.
     ///
     /// # Errors
-    /// The host has no memory.
+    /// The host has no frame memory left.
     pub fn set(
         &mut self,
         stance: &Stance,
@@ -65,8 +65,8 @@ pub struct StopParams {
     /// A change of this number releases a latched stop. The driver of a real arm then also opens a lost connection again.
     #[param(default = 0, range = 0..=1_000_000_000)]
     pub reset: u64,
-    /// Age of its light up to which a tip is followed, by the host's clock. The arm stops when no younger one has arrived. A predicted tip is as old as
-    /// the picture in which it was last seen.
+    /// Maximum age of a tip's light, by the host's clock. The arm stops when no younger tip has arrived. A predicted tip is as old as the image in
+    /// which it was last seen.
     #[param(default = 150.0, range = 10.0..=300.0, step = 10.0, unit = "ms")]
     max_age_ms: f64,
     /// Lowest score of a tip that is followed. The score of a predicted tip falls with time.
@@ -75,7 +75,7 @@ pub struct StopParams {
 }
 
 impl StopParams {
-    /// The interlock's settings.
+    /// Settings of the interlock for these parameters.
     pub fn settings(&self) -> Settings {
         Settings { max_age_ms: self.max_age_ms, min_score: self.min_score }
     }

@@ -5,10 +5,10 @@ use panoscope_arm_core::control::{CameraGeometry, errors, goal_mm};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Value};
 
-/// Inputs.
+/// Input ports of `evaluate_arm`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The true tip (`lead` of the phantom), mm; score 0 while it is hidden or outside the picture.
+    /// The true tip (`lead` of the phantom), mm; score 0 while it is hidden or outside the image.
     tip: Option<Value<'f, Tip>>,
     /// Table of the arm's driver.
     arm: Option<Table<'f>>,
@@ -18,16 +18,15 @@ pub struct In<'f> {
     calibration: Value<'f, Calibration>,
 }
 
-/// Outputs.
+/// Output ports of `evaluate_arm`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The row of this tick; errors are NaN while the tip is not known. `in_view` says whether it lies in the left picture, `seen`
-    /// whether nothing hides it there. `gap_ms` is the time since the tracker saw the tip, `track_off_mm` how far off the tracker's place is; both
-    /// NaN while it has none.
+    /// One row per tick; errors are NaN while the tip is not known. `in_view`: the tip is inside the left image. `seen`: nothing hides it there.
+    /// `gap_ms`: time since the tracker saw the tip. `track_off_mm`: error of the tracker's position. Both are NaN while the tracker has no tip.
     table: Slot<'f, TableData>,
 }
 
-/// Parameters.
+/// Parameters of `evaluate_arm`.
 #[derive(Params)]
 pub struct JudgeParams {
     /// Requested distance of the tip from the left camera.
@@ -38,7 +37,7 @@ pub struct JudgeParams {
     track_id: i64,
 }
 
-/// Columns of the table; those from the arm's own table keep its names.
+/// Columns of the table. Columns copied from the arm's table keep their names.
 pub const COLUMNS: [&str; 13] = [
     "time_s",
     "error_mm",
@@ -55,10 +54,10 @@ pub const COLUMNS: [&str; 13] = [
     "track_off_mm",
 ];
 
-/// Columns that are copied from the arm's table.
+/// Positions of the columns that are copied from the arm's table.
 const OF_THE_ARM: std::ops::Range<usize> = 6..10;
 
-/// See the module.
+/// The `evaluate_arm` node.
 pub struct EvaluateArm;
 
 impl Node for EvaluateArm {

@@ -1,4 +1,4 @@
-//! What both drivers do with the interlock: hand it tips, latch and release stops, report why it stopped.
+//! How both drivers use the interlock: they hand it tips, latch and release stops, and report why it stopped.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use panoscope_arm_core::interlock::{Cause, Evidence};
 use panoscope_node::abi::Tip;
 use panoscope_node::{Context, Timed};
 
-/// Latches and releases stops as a driver's parameters ask.
+/// Latches and releases stops according to a driver's parameters.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Switches {
     reset: Option<u64>,
@@ -25,22 +25,22 @@ impl Switches {
     }
 }
 
-/// What the interlock needs to know of a tip.
+/// The part of a tip that the interlock checks.
 pub fn evidence(tip: &Tip) -> Evidence {
     Evidence { score: tip.score, in_space: tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) }
 }
 
-/// Age of a packet's light, ns; as old as can be where it is unknown.
+/// Age of a packet's light, ns; the maximum where it is unknown.
 pub fn age_ns(cx: &Context<'_>, packet: &impl Timed) -> i64 {
     duration_ns(cx.age(packet))
 }
 
-/// A time in ns; the longest that fits for one that does not.
+/// Converts a time to ns; saturates at the maximum.
 pub fn duration_ns(time: Duration) -> i64 {
     i64::try_from(time.as_nanos()).unwrap_or(i64::MAX)
 }
 
-/// Writes the state in words to `text`, in place of its contents.
+/// Replaces the content of `text` with a description of the state.
 pub fn words(stop: Option<Cause>, latched: bool, text: &mut String) {
     text.clear();
     text.push_str(match stop {
@@ -51,7 +51,7 @@ pub fn words(stop: Option<Cause>, latched: bool, text: &mut String) {
     text.push_str(stop.map_or("", Cause::words));
 }
 
-/// Writes events to the host's log: stops as warnings.
+/// Writes events to the host's log; stops are warnings.
 pub fn log_events(cx: &Context<'_>, lock: &mut Interlock) {
     while let Some(event) = lock.take_event() {
         if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) }

@@ -1,4 +1,4 @@
-//! Packets of joints and poses to and from the types of `panoscope_arm_core`.
+//! Converts packets of joints and poses to and from the types of `panoscope_arm_core`.
 
 use std::path::Path;
 
@@ -8,10 +8,10 @@ use panoscope_arm_core::{Chain, JOINTS, JointVector};
 use panoscope_node::abi::{Joints, LINK_COLUMNS, MAX_JOINTS, Pose};
 use panoscope_node::{Result, Slot, TableData, Validation, error, name16};
 
-/// The arm that a URDF file describes, or the arm that comes with the plugin when `file` is empty.
+/// The arm that a URDF file describes, or the shipped arm when `file` is empty.
 ///
 /// # Errors
-/// The file cannot be read, or holds no arm of six axes.
+/// The file cannot be read or does not describe an arm of six axes.
 pub fn arm_of(file: &Path) -> Result<Chain> {
     if file.as_os_str().is_empty() {
         return Ok(Chain::shipped()?);
@@ -20,29 +20,28 @@ pub fn arm_of(file: &Path) -> Result<Chain> {
     Chain::from_urdf(&text).map_err(|e| error!("{}: {e}", file.display()))
 }
 
-/// Reports an arm that [`arm_of`] refuses.
+/// Reports an arm file that [`arm_of`] refuses.
 pub fn check_arm(check: &mut Validation<'_>, file: &Path) {
     if let Err(error) = arm_of(file) {
-        check.error(
-            "arm",
-            error.message(),
-            "name a URDF file of six axes, or leave it empty for the arm that comes with the plugin",
-        );
+        check.error("arm", error.message(), "name a URDF file of six axes, or leave it empty for the shipped arm");
     }
 }
 
-/// Angles of a packet, in rad.
+/// Joint angles of a packet, rad.
 ///
 /// # Errors
-/// The packet has another number of joints.
+/// The packet has another number of joints than the arm.
 pub fn angles(packet: &Joints) -> Result<JointVector> {
     if packet.count as usize != JOINTS {
-        return Err(error!("joints of {} axes arrived, the arm has {JOINTS}", packet.count));
+        return Err(error!(
+            "the joints packet has {} axes, but the arm has {JOINTS}; connect the joints of this arm",
+            packet.count
+        ));
     }
     Ok(JointVector::from_column_slice(&packet.position_rad[..JOINTS]))
 }
 
-/// A packet of angles in rad and speeds in rad/s.
+/// Makes a packet of joint angles (rad) and speeds (rad/s).
 pub fn packet(position_rad: &JointVector, velocity_rad_s: &JointVector) -> Joints {
     let mut out = Joints {
         position_rad: [0.0; MAX_JOINTS],
@@ -69,7 +68,7 @@ pub fn camera_pose(scene_from_camera: &Isometry3<f64>) -> Pose {
 /// Sets the positions of the joints, mm, in the frame of [`camera_pose`].
 ///
 /// # Errors
-/// The host has no memory.
+/// The host has no frame memory left.
 pub fn set_links(slot: &mut Slot<'_, TableData>, stance: &Stance, base_from_scene: &Isometry3<f64>) -> Result<()> {
     let mut values = [0.0; LINK_POINTS * LINK_COLUMNS.len()];
     for (row, place) in values.chunks_exact_mut(LINK_COLUMNS.len()).zip(stance.links()) {
@@ -78,7 +77,7 @@ pub fn set_links(slot: &mut Slot<'_, TableData>, stance: &Stance, base_from_scen
     slot.set_table(&LINK_COLUMNS, &values)
 }
 
-/// The requested velocities of a packet, rad/s, as many as it states. A packet with a wrong count is refused by the interlock.
+/// Requested velocities of a packet, rad/s, as many as it states. The interlock refuses a packet with a wrong count.
 pub fn requested(packet: &Joints) -> &[f64] {
     &packet.velocity_rad_s[..(packet.count as usize).min(MAX_JOINTS)]
 }

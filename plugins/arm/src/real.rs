@@ -1,5 +1,5 @@
-//! A real arm as the nodes drive it: the process `panoscope-arm` owns the connection and the interlock, a node sends it requests
-//! ([`panoscope_arm_guard`]). `arm_serial` and `arm_ur` differ in how the arm is reached only.
+//! A real arm for the driver nodes. The process `panoscope-arm` owns the connection and the interlock; a node sends it requests
+//! ([`panoscope_arm_guard`]). `arm_serial` and `arm_ur` differ only in how the arm is reached.
 
 use std::path::{Path, PathBuf};
 
@@ -15,22 +15,22 @@ use crate::declared::{In, MotionOut, StopParams};
 use crate::guard::{self, age_ns};
 use crate::joints::{arm_of, requested};
 
-/// Outputs.
+/// Output ports of the drivers of real arms.
 #[derive(Ports)]
 pub struct Out<'f> {
     #[ports(flatten)]
     motion: MotionOut<'f>,
-    /// One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, distance of the tube from
-    /// the trocar, its depth, age of the arm's last answer.
+    /// One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, distance of the tube
+    /// from the trocar, its depth, age of the arm's last answer.
     table: Slot<'f, TableData>,
-    /// State of the arm in words.
+    /// State of the arm as text.
     text: Slot<'f, TextPacket>,
 }
 
-/// Columns of the table.
+/// Columns of the table, in order.
 pub const COLUMNS: [&str; 7] = ["following", "cause", "stops", "speed_rad_s", "pivot_mm", "depth_mm", "answer_age_ms"];
 
-/// An arm with its guard.
+/// A connection to an arm and the guard process that owns it.
 pub struct RealArm {
     guard: Guard,
     target: Target,
@@ -42,22 +42,22 @@ pub struct RealArm {
     words: String,
 }
 
-/// The state in which a guard that has ended left the arm.
+/// Status to report after the guard has ended: `last` with the arm stopped.
 fn ended(last: &Status) -> Status {
     let stop = Some(Cause::GuardGone);
     Status { stop, latched: true, set_point: (last.set_point.0, JointVector::zeros()), ..*last }
 }
 
-/// When the light of a packet arrived, on the clock of the guard, ns.
+/// Arrival time of a packet's light on the guard's clock, ns.
 fn light_ns(cx: &Context<'_>, packet: &impl Timed, now_ns: i64) -> i64 {
     now_ns.saturating_sub(age_ns(cx, packet))
 }
 
 impl RealArm {
-    /// Starts the guard of an arm, which `urdf` describes; an empty path is the shipped arm.
+    /// Starts the guard of the arm that `urdf` describes; an empty path is the shipped arm.
     ///
     /// # Errors
-    /// The file describes no arm, or the guard does not find the arm.
+    /// The file describes no arm, or the guard does not reach the arm.
     pub fn open(cx: &Open<'_>, target: Target, urdf: &Path) -> Result<Self> {
         let chain = arm_of(urdf)?;
         let home = chain.stance(&JointVector::zeros()).base_from_camera;
@@ -78,7 +78,7 @@ impl RealArm {
         Guard::start(target, urdf, None).map_err(|error| error!("{error}"))
     }
 
-    /// The newest state. Reports stops, and the end of the guard.
+    /// Newest status. Reports stops, and the end of the guard.
     fn status(&mut self, cx: &Context<'_>) -> Status {
         let log =
             |event: Event| if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) };
@@ -86,12 +86,12 @@ impl RealArm {
             return status;
         }
         if !std::mem::replace(&mut self.has_reported_end, true) {
-            cx.fault("the process that guards the arm has ended; the arm's own watchdog holds it. Change `reset` to start it again");
+            cx.fault("the process that guards the arm has ended; the arm's own watchdog has stopped it. Change `reset` to restart the guard");
         }
         ended(self.guard.last_status())
     }
 
-    /// Starts a guard that has ended again, after a person's reset. It starts with the stop latched; the next reset releases it.
+    /// Restarts a guard that has ended, after a person's reset. It starts with the stop latched; the next reset releases it.
     fn revive(&mut self, cx: &Context<'_>) {
         match Self::start(&self.target, &self.urdf) {
             Ok(guard) => {
@@ -99,14 +99,14 @@ impl RealArm {
                 self.has_reported_end = false;
                 cx.info("the arm is guarded again and stopped; change `reset` once more to release it");
             }
-            Err(error) => cx.warn(&format!("the arm's guard does not start again: {error}")),
+            Err(error) => cx.warn(&format!("the arm's guard cannot be restarted: {error}")),
         }
     }
 
     /// Sends tip and demand to the guard and reports its state.
     ///
     /// # Errors
-    /// The host has no memory.
+    /// The host has no frame memory left.
     pub fn process<'f>(
         &mut self,
         cx: &Context<'f>,

@@ -11,7 +11,7 @@ use crate::declared::{In, StopParams};
 use crate::joints::check_arm;
 use crate::real::{Out, RealArm};
 
-/// Parameters.
+/// Parameters of `arm_serial`.
 #[derive(Params)]
 pub struct SerialParams {
     /// Device of the serial line, such as /dev/ttyUSB0.
@@ -20,7 +20,7 @@ pub struct SerialParams {
     /// Bits per second.
     #[param(default = 921600, range = 9600..=4_000_000, reopen)]
     baud: u32,
-    /// Longest time without an answer of the arm; after it the arm is stopped.
+    /// Time limit for an answer of the arm. After it the arm is stopped.
     #[param(default = 30.0, range = 10.0..=250.0, step = 5.0, unit = "ms", reopen)]
     answer_ms: f64,
     /// URDF file of the arm; empty takes the arm that comes with the plugin.
@@ -33,14 +33,14 @@ pub struct SerialParams {
     stop: StopParams,
 }
 
-/// See the module.
+/// The `arm_serial` node.
 pub struct ArmSerial(RealArm);
 
 impl Node for ArmSerial {
     const INFO: NodeInfo = NodeInfo::realtime(
         "arm_serial",
         "arm",
-        "A six-axis arm on a serial line. A process of its own guards it and stops it whatever the program does.",
+        "A six-axis arm on a serial line. A separate process guards it and stops it whatever the program does.",
     )
     .exclusive()
     .side_effects();
@@ -52,8 +52,8 @@ impl Node for ArmSerial {
         check_arm(check, &params.arm);
         // A line may be plugged in until the graph runs.
         if !Path::new(&params.port).exists() {
-            let message = format!("there is no serial line {}", params.port);
-            check.warning("port", message, "plug the arm in before the graph runs, or name its line");
+            let message = format!("the serial line {} does not exist", params.port);
+            check.warning("port", message, "connect the arm before the graph runs, or correct the path");
         }
     }
 

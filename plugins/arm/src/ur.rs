@@ -13,7 +13,7 @@ use crate::declared::{In, StopParams};
 use crate::joints::check_arm;
 use crate::real::{Out, RealArm};
 
-/// Parameters.
+/// Parameters of `arm_ur`.
 #[derive(Params)]
 pub struct UrParams {
     /// Name or address of the robot's controller.
@@ -22,16 +22,16 @@ pub struct UrParams {
     /// TCP port of the controller's RTDE interface.
     #[param(default = 30004, range = 1..=65535, reopen)]
     port: u32,
-    /// TCP port of the controller's dashboard server, which gives the serial number.
+    /// TCP port of the controller's dashboard server, from which the serial number is read.
     #[param(default = 29999, range = 1..=65535, reopen)]
     dashboard_port: u32,
-    /// Longest time without an answer of the arm; after it the arm is stopped.
+    /// Time limit for an answer of the arm. After it the arm is stopped.
     #[param(default = 30.0, range = 10.0..=250.0, step = 5.0, unit = "ms", reopen)]
     answer_ms: f64,
-    /// URDF file of the robot as it stands, with scope and trocar. There is no default: limits of another arm would not be its limits.
+    /// URDF file of the robot as mounted, with scope and trocar. There is no default: the limits of another arm would not hold for this one.
     #[param(default = "", reopen)]
     arm: PathBuf,
-    /// The robot's six joint angles, in degrees as the pendant shows them and separated by commas, where the angles of the URDF file are 0.
+    /// The robot's six joint angles at which the angles of the URDF file are 0: in degrees as the pendant shows them, separated by commas.
     #[param(default = "0, 0, 0, 0, 0, 0", reopen)]
     home_deg: String,
     /// Lets the arm move after `reset` has released it. Off: requested velocities are ignored.
@@ -41,7 +41,7 @@ pub struct UrParams {
     stop: StopParams,
 }
 
-/// The joint angles of `home_deg`, rad.
+/// Joint angles of `home_deg`, rad.
 fn home(params: &UrParams) -> Option<JointVector> {
     let degrees = home_of(&params.home_deg)?;
     degrees.iter().all(|angle| angle.abs() <= 360.0).then(|| degrees.map(f64::to_radians))
@@ -51,14 +51,14 @@ fn bad_home(text: &str) -> String {
     format!("`home_deg = \"{text}\"` is not {JOINTS} angles from -360 to 360 degrees, separated by commas")
 }
 
-/// See the module.
+/// The `arm_ur` node.
 pub struct ArmUr(RealArm);
 
 impl Node for ArmUr {
     const INFO: NodeInfo = NodeInfo::realtime(
         "arm_ur",
         "arm",
-        "A Universal Robots arm over RTDE. A process of its own guards it and stops it whatever the program does.",
+        "A Universal Robots arm over RTDE. A separate process guards it and stops it whatever the program does.",
     )
     .exclusive()
     .side_effects();
@@ -68,7 +68,7 @@ impl Node for ArmUr {
 
     fn validate(params: &UrParams, check: &mut Validation<'_>) {
         if params.arm.as_os_str().is_empty() {
-            let message = "the robot has no description";
+            let message = "no description of the robot is given";
             check.error(
                 "arm",
                 message,
@@ -82,12 +82,16 @@ impl Node for ArmUr {
             check.error("home_deg", bad_home(&params.home_deg), help);
         }
         if params.host.trim().is_empty() {
-            check.error("host", "the robot has no address", "name the address that the pendant shows under About");
+            check.error(
+                "host",
+                "no address of the robot is given",
+                "name the address that the pendant shows under About",
+            );
         }
     }
 
     fn open(cx: &Open<'_>, params: &UrParams) -> Result<Self> {
-        let port = |number: u32| u16::try_from(number).map_err(|_| error!("there is no port {number}"));
+        let port = |number: u32| u16::try_from(number).map_err(|_| error!("port {number} is not valid"));
         let connection = UrConnection {
             host: params.host.trim().to_owned(),
             rtde_port: port(params.port)?,
@@ -96,7 +100,7 @@ impl Node for ArmUr {
             answer_within: Duration::from_secs_f64(params.answer_ms * 1e-3),
         };
         if params.arm.as_os_str().is_empty() {
-            return Err(error!("`arm` names no URDF file of this robot"));
+            return Err(error!("`arm` is empty: give the URDF file of this robot"));
         }
         RealArm::open(cx, Target::Ur(connection), &params.arm).map(Self)
     }

@@ -14,7 +14,7 @@ fn still() -> Joints {
     Joints { position_rad: [0.0; MAX_JOINTS], velocity_rad_s: [0.0; MAX_JOINTS], count: 6, reserved: 0 }
 }
 
-/// A controller and an arm in a loop, as a graph has them.
+/// A controller and an arm in a loop, wired as in a graph.
 struct Pair {
     control: Harness<ArmPid>,
     arm: Harness<ArmSim>,
@@ -27,7 +27,7 @@ impl Pair {
         Ok(Self { control: Harness::from_toml("")?, arm: Harness::from_toml(params)?, back: None, tick: 0 })
     }
 
-    /// One tick; answers the camera's place and the arm's words.
+    /// Runs one tick. Returns the camera's position and the arm's state as text.
     fn tick(&mut self, tip: Option<Tip>) -> Result<([f64; 3], String), HarnessError> {
         let capture_ns = self.tick as i64 * 33_333_333;
         self.control.at_tick(self.tick, capture_ns);
@@ -192,7 +192,7 @@ fn hostile_packets_are_survived() -> Result<(), HarnessError> {
     Ok(())
 }
 
-/// A camera that says 30 pictures a second and gives 10.
+/// Media time per tick of a camera that claims 30 frames per second and delivers 10.
 const CLAIMED_NS: i64 = 33_333_333;
 const TRUE_NS: i64 = 100_000_000;
 
@@ -232,8 +232,8 @@ fn the_largest_age_is_real_time_whatever_the_camera_says() -> Result<(), Harness
     Ok(())
 }
 
-/// Speed of a tip, mm/s, and the requested speed, rad/s, after some ticks of a camera whose ticks are `claimed_ns` apart by its word and `true_ns` by the
-/// clock. The tip moves at 10 mm/s.
+/// Speed of a tip, mm/s, and the requested speed, rad/s, after some ticks of a camera whose ticks are `claimed_ns` apart by its timestamps and
+/// `true_ns` by the clock. The tip moves at 10 mm/s.
 fn measured(claimed_ns: i64, true_ns: i64, age_ms: u64) -> Result<(f64, f64), HarnessError> {
     let mut control =
         Harness::<ArmPid>::from_toml("params = { picture_d = 0.0, picture_i = 0.0, dead_zone_px = 0.0 }")?;

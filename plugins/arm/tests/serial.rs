@@ -8,7 +8,7 @@ use panoscope_firmware::{Behaviour, Firmware};
 use panoscope_node::abi::{Joints, MAX_JOINTS, Tip};
 use panoscope_node::harness::{Harness, HarnessError, Level};
 
-/// A folder of latches for all tests here: each has an arm with a serial number of its own.
+/// Sets one folder of latches for all tests here; each arm has its own serial number.
 fn with_latches() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
@@ -40,7 +40,7 @@ fn demand() -> Joints {
     Joints { position_rad: [0.0; MAX_JOINTS], velocity_rad_s, count: 6, reserved: 0 }
 }
 
-/// Ticks every 10 ms until `done` of the node's words; false when that takes longer.
+/// Ticks every 10 ms until `done` accepts the node's text. Returns false after the time limit.
 fn drive(
     node: &mut Harness<ArmSerial>,
     ask: bool,
@@ -60,7 +60,7 @@ fn drive(
     Ok(false)
 }
 
-/// Releases the arm until it moves. On a loaded machine an answer may come late: that latches, and is released here.
+/// Releases the arm until it moves. On a loaded machine a late answer latches the arm; that latch is released here.
 fn moving(arm: &Firmware, node: &mut Harness<ArmSerial>, reset: &mut u64) -> Result<(), HarnessError> {
     for _ in 0..8 {
         let before = arm.angles()[5];

@@ -12,7 +12,7 @@ use panoscope_node::harness::{Harness, HarnessError, Level};
 
 const URDF: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../core/robot/arm/description/panoscope_arm6.urdf");
 
-/// A folder of latches for all tests here: each has an arm with a serial number of its own.
+/// Sets one folder of latches for all tests here; each arm has its own serial number.
 fn with_latches() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
@@ -42,7 +42,7 @@ fn params(robot: &UrSimulator, more: &str) -> String {
     )
 }
 
-/// Ticks every 10 ms until `done` of the node's words; false when that takes longer.
+/// Ticks every 10 ms until `done` accepts the node's text. Returns false after the time limit.
 fn drive(
     node: &mut Harness<ArmUr>,
     ask: bool,
@@ -74,7 +74,7 @@ fn drive(
     Ok(false)
 }
 
-/// Releases the arm until it moves. On a loaded machine an answer may come late: that latches, and is released here.
+/// Releases the arm until it moves. On a loaded machine a late answer latches the arm; that latch is released here.
 fn moving(robot: &UrSimulator, node: &mut Harness<ArmUr>, reset: &mut u64) -> Result<(), HarnessError> {
     for _ in 0..8 {
         let before = robot.angles()[5];

@@ -1,4 +1,4 @@
-//! True boxes of one picture, from VOC and YOLO files and from masks.
+//! Ground-truth boxes of one image, from VOC and YOLO files and from masks.
 
 use std::path::Path;
 
@@ -8,33 +8,33 @@ use panoscope_data::truth::masks::MaskPicture;
 use panoscope_node::abi::Detection;
 use panoscope_node::{LabeledDetections, LabeledInstances, NodeError, Rect, Result, Slot, detections};
 
-/// Least pixels of a part of a mask that counts as an object: specks at the border of an instrument are none.
+/// Minimum size of a part of a mask that counts as an object, px. Smaller parts are specks at the border of an instrument.
 const MIN_PIXELS: usize = 16;
-/// The same as a share of the picture.
+/// The same minimum as a share of the image.
 const MIN_SHARE: f64 = 1e-4;
 
-/// Boxes of a picture, in memory that is used again.
+/// Boxes of an image; the memory is reused for the next one.
 #[derive(Debug, Default)]
 pub struct Boxes {
-    /// Class names, in the order of the data set as far as it gives one.
+    /// Class names: those that the data set gives first, in its order, then further ones as they occur.
     classes: Vec<String>,
     items: Vec<Detection>,
-    /// One bit per pixel for each item that comes from a mask.
+    /// One bit per pixel for each item that was read from a mask.
     masks: Vec<u8>,
 }
 
-/// Whether a file is one of YOLO's labels.
+/// Whether a file holds YOLO labels.
 pub fn is_yolo(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("txt"))
 }
 
 impl Boxes {
-    /// No boxes; classes not in the list are added as they come.
+    /// Starts without boxes. Classes that are not in the list are added when they first occur.
     pub fn new(classes: Vec<String>) -> Self {
         Self { classes, ..Self::default() }
     }
 
-    /// Forgets the picture before.
+    /// Drops the boxes of the previous image.
     pub fn clear(&mut self) {
         self.items.clear();
         self.masks.clear();
@@ -48,10 +48,10 @@ impl Boxes {
         at as u32
     }
 
-    /// Reads a VOC or YOLO file; `size` of the picture in px.
+    /// Reads a VOC or YOLO file. `size`: width and height of the image, px.
     ///
     /// # Errors
-    /// A file that is missing or damaged, by its name and line.
+    /// The file is missing or malformed; names file and line.
     pub fn read(&mut self, file: &Path, size: (usize, usize)) -> Result<()> {
         let (width, height) = (size.0 as f64, size.1 as f64);
         let wrong = |cause: &dyn std::fmt::Display| NodeError::new(format!("{}: {cause}", file.display()));
@@ -80,17 +80,17 @@ impl Boxes {
         Ok(())
     }
 
-    /// Adds the connected parts of a mask; `part` of it is the picture.
+    /// Adds the connected parts of a mask inside `part`, the region that the image shows.
     ///
     /// # Errors
-    /// A file that is missing, damaged or of another size than the stored picture.
+    /// The file is missing, damaged or not of the size of the stored image.
     pub fn read_mask(&mut self, file: &MaskFile, stored: (usize, usize), part: Rect) -> Result<()> {
         let mask = MaskPicture::read(&file.path).map_err(|error| NodeError::new(error.to_string()))?;
         let same = (mask.width, mask.height) == stored;
         let cut = same.then(|| mask.cropped([part.x, part.y, part.width, part.height])).flatten();
         let Some(mask) = cut else {
             return Err(NodeError::new(format!(
-                "{} is {}x{}, its picture {}x{}: masks must have the pictures' size",
+                "{} is {}x{}, but its image is {}x{}: give masks of the size of the images",
                 file.path.display(),
                 mask.width,
                 mask.height,
@@ -115,24 +115,24 @@ impl Boxes {
         Ok(())
     }
 
-    /// Sets the boxes.
+    /// Writes the boxes to an output.
     ///
     /// # Errors
-    /// No frame memory is left.
+    /// The host has no frame memory left.
     pub fn write(&self, slot: &mut Slot<'_, LabeledDetections>, size: (usize, usize)) -> Result<()> {
         slot.set_detections(&self.items, &self.classes.join("\n"), size)
     }
 
-    /// Sets boxes and masks, where all of them came from masks.
+    /// Writes boxes and masks to an output. All boxes must come from masks.
     ///
     /// # Errors
-    /// No frame memory is left.
+    /// The host has no frame memory left.
     pub fn write_instances(&self, slot: &mut Slot<'_, LabeledInstances>, size: (usize, usize)) -> Result<()> {
         slot.set_instances(&self.items, &self.classes.join("\n"), size, &self.masks)
     }
 }
 
-/// A true box: left, top, width, height in px.
+/// Makes the item of a box: left, top, width, height in px.
 fn item([x, y, w, h]: [f64; 4], score: f32, class_index: u32) -> Detection {
     Detection {
         x_px: x as f32,

@@ -1,4 +1,4 @@
-//! `capture`: views of cameras, files and pipelines, taken together.
+//! `capture`: synchronised views of cameras, files and pipelines.
 
 use std::path::Path;
 use std::time::Duration;
@@ -19,12 +19,12 @@ use crate::source::{Clock, Demands, Lock, SourceName, Stream};
 use crate::timing::{Time, Timing};
 use crate::views::{View, Views, pair_by_numbers, same_files};
 
-/// Rate of images, which have no times.
+/// Rate of image files, which have no timestamps, Hz.
 const IMAGE_FPS: f64 = 30.0;
-/// Names of the views in messages.
+/// Names of the views in messages, by their number.
 const VIEW_NAMES: [&str; MAX_VIEWS] = ["left view", "right view", "third view", "fourth view"];
 
-/// Outputs.
+/// Output ports of `capture`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Left view: view 0.
@@ -39,22 +39,22 @@ pub struct Out<'f> {
     pub view2: Slot<'f, Bgr8>,
     /// View 3.
     pub view3: Slot<'f, Bgr8>,
-    /// Calibration of views 0 and 1, where a file is given.
+    /// Calibration of views 0 and 1, if a file is given.
     pub calibration: Slot<'f, Calibration>,
 }
 
-/// What one output shows: a part of a source's newest picture.
+/// The region of a source's newest frame that one output shows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Part {
     /// Number of the view, from 0.
     pub view: usize,
-    /// Number of the source: a split one serves two views.
+    /// Number of the source; a split source serves two views.
     pub source: usize,
-    /// Part of the picture.
+    /// Region of the frame, px.
     pub rect: Rect,
 }
 
-/// Takes the pictures of all views. Streams are decoded on GStreamer's threads, images on the host's.
+/// Grabs the frames of all views. Streams are decoded on GStreamer's threads, images on the host's.
 pub struct Capture {
     /// One per source; a split source serves two views.
     views: Views,
@@ -63,13 +63,13 @@ pub struct Capture {
     white: f32,
     kept: KeptFrames,
     frame: u64,
-    /// Ticks of this instance.
+    /// Number of ticks since this instance was opened.
     since_open: u64,
     timing: Timing,
-    /// Arrival of the tick's oldest live picture by the host's clock, ns.
+    /// Arrival of the tick's oldest live frame by the host's clock, ns.
     arrived_ns: Option<i64>,
     has_ended: bool,
-    /// Numbers of the views that are gone, while something is lost: none where views give pictures that do not belong together.
+    /// Numbers of the lost views, while something is lost. Empty when all views deliver, but frames that do not belong together.
     lost: Option<Vec<usize>>,
     sizes_warned: bool,
     damage_warned: bool,
@@ -81,7 +81,7 @@ impl Capture {
     /// Grabs all views. Returns `None` for an empty tick.
     ///
     /// # Errors
-    /// A view that ended too early; in batch mode also a device that is gone.
+    /// A view ended too early; in batch mode also: a device is gone.
     fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings) -> Result<Option<()>> {
         let mut grabbed = self.views.grab(cx, clock, self.lost.is_some());
         if grabbed == Grabbed::End {
@@ -99,7 +99,7 @@ impl Capture {
             Grabbed::Ready => {
                 if self.lost.is_some() && self.views.iter().all(|view| view.is_there) {
                     self.lost = None;
-                    cx.info("all sources are back");
+                    cx.info("all sources are available again");
                 }
             }
             Grabbed::End => {
@@ -127,7 +127,7 @@ impl Capture {
         Ok(Some(()))
     }
 
-    /// Reports views that were not lost before, and those that are back while others are lost.
+    /// Reports views that were newly lost, and those that are back while others are still lost.
     fn report_loss(&mut self, cx: &Context<'_>, reason: &str) {
         let lost = self.views.lost();
         let before = self.lost.replace(lost.clone());
@@ -139,9 +139,7 @@ impl Capture {
                 true => format!("{} lost: {reason}", names(&lost)),
                 false => reason.to_owned(),
             };
-            cx.fault(&format!(
-                "{prefix}. Outputs without a picture stay empty until it is back; it is opened again every second"
-            ));
+            cx.fault(&format!("{prefix}. Outputs without a frame stay empty until it is back; retrying every second"));
         } else if let Some(before) = before {
             let back: Vec<usize> = before.into_iter().filter(|view| !lost.contains(view)).collect();
             if !back.is_empty() {
@@ -151,12 +149,12 @@ impl Capture {
         cx.metric("lost", 1.0);
     }
 
-    /// Ends the source.
+    /// Ends the source and reports frames that remain.
     fn end(&mut self, cx: &Context<'_>) {
         self.has_ended = true;
         if self.views.unpaired() > 0 {
             cx.warn(&format!(
-                "{} pictures were skipped because no other view had a partner for them",
+                "{} frames were skipped because no other view had a partner for them",
                 self.views.unpaired()
             ));
         }
@@ -168,7 +166,7 @@ impl Capture {
         NodeError::ended_early(words)
     }
 
-    /// Sets the tick's capture time: the file's, or the clock's for devices.
+    /// Sets the tick's capture time: from the file, or from the clock for devices.
     fn set_time(&mut self, cx: &Context<'_>, clock: Clock<'_>) {
         // Both clocks count at one rate from different starts.
         self.arrived_ns = self.views.arrived_ns().map(|arrived_ns| clock() - (monotonic_ns() - arrived_ns));
@@ -183,7 +181,7 @@ impl Capture {
         }
     }
 
-    /// Waits until the picture is due.
+    /// Waits until the frame is due.
     fn wait(&mut self, cx: &Context<'_>, clock: Clock<'_>, pace: Pace) {
         let is_paced = match pace {
             Pace::Auto => !cx.is_batch(),
@@ -197,10 +195,10 @@ impl Capture {
         }
     }
 
-    /// Reads the images that were grabbed and takes the frames of streams; `false` when a damaged picture leaves the tick empty.
+    /// Reads the images that were grabbed and takes the frames of streams; `false` when a damaged frame leaves the tick empty.
     ///
     /// # Errors
-    /// A damaged picture, by file and number.
+    /// A damaged frame, by file and number.
     fn decode(&mut self, cx: &Context<'_>, params: &Settings) -> Result<bool> {
         let views = self.views.locked();
         cx.pool().run(views.len(), &|index| {
@@ -227,7 +225,7 @@ impl Capture {
         if is_live {
             // One warning for each series: a stream may be damaged until its next key picture.
             if !std::mem::replace(&mut self.damage_warned, true) {
-                cx.warn(&format!("{why}: outputs stay empty until an undamaged picture comes"));
+                cx.warn(&format!("{why}: outputs stay empty until an undamaged frame arrives"));
             }
             return Ok(false);
         }
@@ -237,14 +235,14 @@ impl Capture {
                 Ok(false)
             }
             OnDamage::Fail => {
-                let words = format!("{why}; with `on_damage = \"skip\"` such a picture is skipped");
+                let words = format!("{why}; set `on_damage = \"skip\"` to skip damaged frames");
                 // In live mode the host opens the node again, which continues with the next picture.
                 Err(if cx.is_batch() { self.ended_early(words) } else { NodeError::new(words) })
             }
         }
     }
 
-    /// Finds one white for the pictures of all views.
+    /// Finds one white level for the frames of all views.
     fn find_white(&mut self, cx: &Context<'_>, bits: u32) -> Result<()> {
         let views = self.views.locked();
         let guards: Vec<_> =
@@ -277,18 +275,18 @@ impl Capture {
                 white_balance_k: values.white_balance_k.filter(|_| params.lock_white_balance),
             };
             if !device.set_lock(lock) {
-                cx.warn(&format!("{} does not take the locked exposure or white balance", view.name));
+                cx.warn(&format!("{} does not accept the locked exposure or white balance", view.name));
             }
         }
         if found.is_none() {
-            cx.warn("exposure and white balance are locked on cameras only: there is none");
+            cx.warn("exposure and white balance cannot be locked: no source is a camera");
         }
     }
 
-    /// Opens sources that are named already; `texts` are their names for messages and for the place to continue at.
+    /// Opens parsed sources. `texts` are their names in messages and in the saved position.
     ///
     /// # Errors
-    /// A source that does not open.
+    /// A source does not open.
     pub(crate) fn of_sources(
         open: &Open<'_>,
         params: &Settings,
@@ -332,7 +330,7 @@ impl Capture {
         })
     }
 
-    /// Takes the pictures of the next tick: a part for each view that has one. `None` for an empty tick, and at the end.
+    /// Takes the frames of the next tick: a region for each view that has one. Returns `None` for an empty tick and at the end.
     ///
     /// # Errors
     /// As [`Node::process`] of this node.
@@ -371,7 +369,7 @@ impl Capture {
         {
             self.sizes_warned = true;
             cx.warn(&format!(
-                "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
+                "the views differ in size ({}x{} and {}x{}): each is forwarded unchanged",
                 parts[0].rect.width, parts[0].rect.height, rect.width, rect.height
             ));
         }
@@ -381,43 +379,43 @@ impl Capture {
         Ok(Some(parts))
     }
 
-    /// Index of the newest picture of view 0 in its source, from 0.
+    /// Index of the newest frame of view 0 in its source, from 0.
     pub(crate) fn picture_index(&mut self) -> u64 {
         self.views.view(0).source.grabbed().saturating_sub(1)
     }
 
-    /// Columns and rows of the newest picture of view 0 as it is stored: before it is split or cut.
+    /// Width and height of the newest frame of view 0 as stored, before it is split or cropped.
     pub(crate) fn stored_size(&mut self) -> (usize, usize) {
         let picture = &self.views.view(0).picture;
         (picture.width, picture.height)
     }
 
-    /// Takes another calibration for the ticks from now on.
+    /// Replaces the calibration from the next tick on.
     pub(crate) fn set_calibration(&mut self, calibration: Option<Calibration>) {
         self.calibration = calibration;
     }
 
-    /// The calibration, if there is one and it was made for views of this size.
+    /// The calibration, if there is one and it fits views of this size.
     ///
     /// # Errors
-    /// It was made for views of another size.
+    /// The calibration was made for views of another size.
     pub(crate) fn calibration_for(&mut self, cx: &Context<'_>, parts: &[Part]) -> Result<Option<Calibration>> {
         let Some(calibration) = &mut self.calibration else { return Ok(None) };
         for Part { view, rect, .. } in parts.iter().filter(|part| part.view < 2) {
             let camera = if *view == 0 { &mut calibration.left } else { &mut calibration.right };
             if camera.width == 0 {
                 (camera.width, camera.height) = (rect.width as u32, rect.height as u32);
-                cx.info(&format!("the calibration states no size: it is assumed to be that of view {view}"));
+                cx.info(&format!("the calibration states no image size: assuming the size of view {view}"));
             }
             if (camera.width as usize, camera.height as usize) != (rect.width, rect.height) {
                 let is_turned = (camera.height as usize, camera.width as usize) == (rect.width, rect.height);
                 let help = if is_turned {
-                    ": `orientation` chooses whether pictures are turned as their file says"
+                    ": `orientation` selects whether frames are rotated as their metadata says"
                 } else {
                     ""
                 };
                 return Err(NodeError::new(format!(
-                    "calibration: it was made for views of {}x{}, view {view} is {}x{}{help}",
+                    "the calibration was made for views of {}x{}, but view {view} is {}x{}{help}",
                     camera.width, camera.height, rect.width, rect.height
                 )));
             }
@@ -425,7 +423,7 @@ impl Capture {
         Ok(Some(*calibration))
     }
 
-    /// The part that a view shows; `None` while it has no picture.
+    /// The region that a view shows; `None` while it has no frame.
     fn part(&mut self, view: usize, crops: &[f64]) -> Result<Option<Part>> {
         let views = if self.halves.is_some() { 2 } else { self.views.len() };
         let source = if self.halves.is_some() { 0 } else { view };
@@ -442,12 +440,12 @@ impl Capture {
         }
         if rect.width == 0 || rect.height == 0 {
             let name = &self.views.view(source).name;
-            return Err(NodeError::new(format!("{name}: a picture of {rect:?} is too small to be split")));
+            return Err(NodeError::new(format!("{name}: a frame of {rect:?} is too small to be split")));
         }
         Ok(Some(Part { view, source, rect }))
     }
 
-    /// Sets two outputs to one view; they share one buffer.
+    /// Sets two outputs to one view; both share one buffer.
     fn write_pair(
         &mut self,
         first: &mut Slot<'_, Bgr8>,
@@ -462,10 +460,10 @@ impl Capture {
         if second.is_read() { second.forward_from(first) } else { Ok(()) }
     }
 
-    /// Sets the output of one view if it is read.
+    /// Sets the output of one view if something reads it.
     ///
     /// # Errors
-    /// No frame memory is left.
+    /// The host has no frame memory left.
     pub(crate) fn write(&mut self, slot: &mut Slot<'_, Bgr8>, source: usize, rect: Rect) -> Result<()> {
         if !slot.is_read() {
             return Ok(());
@@ -511,7 +509,7 @@ impl Node for Capture {
         let mut names = names.collect::<std::result::Result<Vec<_>, _>>()?;
         if let Some([a, b]) = same_files(&names) {
             return Err(NodeError::new(format!(
-                "views {a} and {b} are the same files, `{}`: give each view its own folder or pattern, such as left_*.png and right_*.png",
+                "views {a} and {b} read the same files, `{}`: give each view its own folder or pattern, such as left_*.png and right_*.png",
                 texts[b]
             )));
         }
@@ -554,7 +552,7 @@ impl Node for Capture {
 
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
         let Some(position) = Position::from_bytes(state) else {
-            return Err(NodeError::new("the position is not one of `capture`"));
+            return Err(NodeError::new("the saved position is malformed"));
         };
         let texts: Vec<String> = self.views.iter().map(|view| view.text.clone()).collect();
         // Other sources start at their beginning.

@@ -1,40 +1,22 @@
-//! Parts of pictures: crops in px and the halves of a picture that holds both views.
+//! Regions of frames: crops in px, and the halves of a frame that holds both views.
 
 use panoscope_node::Rect;
 
-/// Why a picture cannot be cropped.
+/// Why a frame cannot be cropped.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum CropError {
-    /// The crop reaches beyond the picture.
-    #[error("the crop {width}x{height} at ({x}, {y}) leaves the picture of {picture_width}x{picture_height}")]
-    Leaves {
-        /// Left edge of the crop, px.
-        x: usize,
-        /// Upper edge of the crop, px.
-        y: usize,
-        /// Columns of the crop, px.
-        width: usize,
-        /// Rows of the crop, px.
-        height: usize,
-        /// Columns of the picture, px.
-        picture_width: usize,
-        /// Rows of the picture, px.
-        picture_height: usize,
-    },
-    /// A number is negative, no whole number, or too large for any picture.
-    #[error("the crop {crop:?} must be whole numbers of px from 0 on: x, y, width, height")]
-    NotWhole {
-        /// As given.
-        crop: [f64; 4],
-    },
-    /// The list has neither four numbers nor four for each view.
-    #[error("`crop` has {count} numbers: give x, y, width, height once for all views or once for each of the {views}")]
-    Count {
-        /// Numbers given.
-        count: usize,
-        /// Views of the node.
-        views: usize,
-    },
+    /// The crop extends beyond the frame.
+    #[error("the crop {width}x{height} at ({x}, {y}) extends beyond the frame of {picture_width}x{picture_height}")]
+    Leaves { x: usize, y: usize, width: usize, height: usize, picture_width: usize, picture_height: usize },
+    /// A number is negative, not an integer, or larger than any frame.
+    #[error("the crop {crop:?} is not valid: give x, y, width, height as integers in px, not negative")]
+    NotWhole { crop: [f64; 4] },
+    /// The list does not have four numbers, or four for each view.
+    #[error(
+        "`crop` has {count} numbers: give x, y, width, height once for all views, or once for each of the {views} views"
+    )]
+    Count { count: usize, views: usize },
 }
 
 /// How one source holds two views.
@@ -47,7 +29,7 @@ pub enum Halves {
 }
 
 impl Halves {
-    /// View 0 or 1 of a picture that holds both; an odd last row or column belongs to neither.
+    /// Half of a frame that holds both views; `view` is 0 or 1. An odd last row or column belongs to neither.
     pub fn of(self, picture: Rect, view: usize) -> Rect {
         let Rect { x, y, width, height } = picture;
         match self {
@@ -57,10 +39,10 @@ impl Halves {
     }
 }
 
-/// The part `x, y, width, height` of `picture`, in px from its corner; width or height 0 reach to the edge.
+/// The region `x, y, width, height` of `picture`, in px from its corner. A width or height of 0 extends to the edge.
 ///
 /// # Errors
-/// When the numbers are not whole, or the part leaves the picture.
+/// The numbers are not integers, or the region extends beyond the frame.
 pub fn part(picture: Rect, crop: [f64; 4]) -> Result<Rect, CropError> {
     let [x, y, width, height] = whole_numbers(crop)?;
     let width = if width == 0 { picture.width.saturating_sub(x) } else { width };
@@ -72,10 +54,10 @@ pub fn part(picture: Rect, crop: [f64; 4]) -> Result<Rect, CropError> {
     Ok(Rect { x: picture.x + x, y: picture.y + y, width, height })
 }
 
-/// `x, y, width, height` as whole numbers.
+/// Reads `x, y, width, height` as integers.
 ///
 /// # Errors
-/// When one is negative, no whole number, or too large for any picture.
+/// A number is negative, not an integer, or larger than any frame.
 pub fn whole_numbers(crop: [f64; 4]) -> Result<[usize; 4], CropError> {
     if crop.iter().all(|value| *value >= 0.0 && value.fract() == 0.0 && *value < 1e6) {
         return Ok(crop.map(|value| value as usize));
@@ -83,10 +65,10 @@ pub fn whole_numbers(crop: [f64; 4]) -> Result<[usize; 4], CropError> {
     Err(CropError::NotWhole { crop })
 }
 
-/// The crop of view `view` out of a flat list: nothing, one rectangle for all views, or one for each.
+/// The crop of view `view` out of a flat list that holds nothing, one rectangle for all views, or one for each.
 ///
 /// # Errors
-/// When the list has another length.
+/// The list has another length.
 pub fn of_view(list: &[f64], view: usize, views: usize) -> Result<Option<[f64; 4]>, CropError> {
     let (rectangles, rest) = list.as_chunks::<4>();
     if !rest.is_empty() || !(rectangles.is_empty() || rectangles.len() == 1 || rectangles.len() == views) {

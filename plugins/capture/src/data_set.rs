@@ -1,4 +1,4 @@
-//! `data_set`: the pictures of a public data set with its calibration and truth, found by the layout of its folders.
+//! `data_set`: the images of a public data set with its calibration and ground truth. The layout of the folders identifies the data set.
 
 mod truth;
 
@@ -17,60 +17,60 @@ use crate::settings::{OnDamage, Pace, Settings, Split};
 use crate::source::SourceName;
 use truth::TruthMaps;
 
-/// Names that a message lists.
+/// Maximum number of names that a message lists.
 const LISTED: usize = 8;
 
-/// Outputs, called as those of `phantom`. What the data set does not state stays empty.
+/// Outputs, named as those of `phantom`. An output stays empty if the data set does not provide it.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Left view, or the only one.
     pub left: Slot<'f, Bgr8>,
     /// Right view.
     pub right: Slot<'f, Bgr8>,
-    /// Calibration of both views, with the rectification that the truth is meant for.
+    /// Calibration of both views, with the rectification that the ground truth refers to.
     pub calibration: Slot<'f, Calibration>,
     /// True disparity of the left rectified view, px; NaN where unknown.
     pub disparity: Slot<'f, Disparity>,
     /// True depth of the left rectified view, mm; NaN where unknown.
     pub depth: Slot<'f, Depth>,
-    /// True boxes in the left view as it comes, not rectified.
+    /// True boxes in the left view as stored, not rectified.
     pub detections: Slot<'f, LabeledDetections>,
-    /// True boxes and masks in the left view as it comes, where the data set has masks.
+    /// True boxes and masks in the left view as stored, if the data set has masks.
     pub instances: Slot<'f, LabeledInstances>,
-    /// Always empty: no data set of these states tips. It is there so that graphs for the phantom's truth run unchanged.
+    /// Always empty, because none of these data sets has tips. It exists so that graphs for the phantom's ground truth run unchanged.
     pub tip: Slot<'f, Tip>,
 }
 
-/// Parameters.
+/// Parameters of `data_set`.
 #[derive(Params)]
 pub struct DataSetParams {
-    /// Folder of a data set, or of some of them; `panoscope import FOLDER` lists what is found there.
+    /// Folder of one data set or of several; `panoscope import FOLDER` lists what is found there.
     #[param(default = "", reopen, file)]
     folder: String,
-    /// Name of a sequence, as `panoscope import` lists it. Empty takes the first one.
+    /// Name of a sequence, as `panoscope import` lists it. Empty: the first one.
     #[param(default = "", reopen)]
     sequence: String,
     /// Starts again at the end.
     #[param(default = false, reopen)]
     r#loop: bool,
-    /// Pictures per second of media time. 0 takes the times in videos, and 30 per second for pictures.
+    /// Frames per second of media time. 0: the times in videos, and 30 per second for images.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     rate_hz: f64,
-    /// When to hold pictures back to their rate.
+    /// When to hold frames back to their rate.
     #[param(default = "auto")]
     pace: Pace,
-    /// How a damaged picture is handled.
+    /// How a damaged image is handled.
     #[param(default = "fail")]
     on_damage: OnDamage,
 }
 
-/// See the module.
+/// The `data_set` node.
 pub struct DataSet {
     sequence: Sequence,
-    /// Reads the pictures.
+    /// Reads the images.
     capture: Capture,
     settings: Settings,
-    /// Index of the calibration set that `capture` has.
+    /// Index of the calibration set that `capture` uses now.
     calibration: Option<usize>,
     truth: TruthMaps,
     boxes: Boxes,
@@ -83,7 +83,7 @@ impl DataSetParams {
         Ok((folder, found))
     }
 
-    /// Settings of the node `capture` that reads the pictures.
+    /// Settings of the node `capture` that reads the images.
     fn settings(&self, sequence: &Sequence) -> Settings {
         let mut settings = Settings::of_files();
         (settings.r#loop, settings.rate_hz) = (self.r#loop, self.rate_hz);
@@ -110,14 +110,14 @@ fn sources(sequence: &Sequence) -> Vec<SourceName> {
     }
 }
 
-/// What a sequence lacks of an output that is read, in words.
+/// What a sequence lacks for an output that is read, as text; `None` if nothing.
 fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {
     let has_calibration = sequence.calibration.is_some();
     let has_masks = matches!(sequence.labels, Some(Labels::Masks(_)));
     match output {
         "right" if sequence.views() < 2 => Some("the sequence has one view"),
         "calibration" if !has_calibration => Some("the sequence has no calibration"),
-        "disparity" | "depth" if sequence.truth.is_none() => Some("the sequence has no true maps"),
+        "disparity" | "depth" if sequence.truth.is_none() => Some("the sequence has no ground-truth maps"),
         "disparity" | "depth" => truth::lacks(sequence, output),
         "detections" if sequence.labels.is_none() => Some("the sequence has no labels"),
         "instances" if !has_masks => Some("the sequence has no masks"),
@@ -129,7 +129,7 @@ impl Node for DataSet {
     const INFO: NodeInfo = NodeInfo::blocking(
         "data_set",
         "source",
-        "Pictures of SCARED, Hamlyn, StereoMIS, EndoVis, KITTI, Middlebury, CholecSeg8k, VOC and YOLO folders, with their calibration and truth.",
+        "Images of SCARED, Hamlyn, StereoMIS, EndoVis, KITTI, Middlebury, CholecSeg8k, VOC and YOLO folders, with their calibration and truth.",
     )
     .source();
     type In<'f> = NoPorts;
@@ -155,14 +155,17 @@ impl Node for DataSet {
             ["calibration", "disparity", "depth"].iter().any(|port| check.is_read(port) != Some(false));
         let first = sequence.calibration.as_ref().filter(|_| needs_calibration);
         if let Some(Err(error)) = first.map(|files| files.read(0)) {
-            check.error("folder", format!("calibration: {error}"), "unpack or download that file again");
+            check.error("folder", format!("calibration: {error}"), "unpack or download this file again");
         }
         for output in ["right", "calibration", "disparity", "depth", "detections", "instances"] {
             if check.is_read(output) == Some(true)
                 && let Some(why) = lacks(sequence, output)
             {
-                let message = format!("output `{output}` is read and stays empty: {why} (`{}`)", sequence.name);
-                check.node_warning(message, "take another sequence: `panoscope import FOLDER` shows what each has");
+                let message = format!("output `{output}` is connected but stays empty: {why} (`{}`)", sequence.name);
+                check.node_warning(
+                    message,
+                    "select another sequence: `panoscope import FOLDER` shows what each one has",
+                );
             }
         }
     }
@@ -232,7 +235,7 @@ impl Node for DataSet {
 }
 
 impl DataSet {
-    /// The calibration of a picture, with the rectification that a `rectify` node will use.
+    /// Calibration of an image, with the rectification that a `rectify` node will use.
     fn calibration_of(&mut self, cx: &Context<'_>, picture: usize, parts: &[Part]) -> Result<Option<Calibration>> {
         let Some(files) = &self.sequence.calibration else { return Ok(None) };
         let set = files.set_of(picture);

@@ -3,19 +3,19 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// A video device.
+/// A V4L2 video device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Device {
-    /// `/dev/videoN`.
+    /// Path, `/dev/videoN`.
     pub path: PathBuf,
-    /// N.
+    /// Number N of the path.
     pub number: u32,
-    /// The driver's name for it.
+    /// Name that the driver reports.
     pub name: String,
 }
 
-/// All `/dev/video*` devices, by number. A camera often has a second device for its metadata: the list does not open any
-/// device, so both stand in it.
+/// All `/dev/video*` devices, sorted by number. A camera often has a second device for its metadata. Both are listed, because the list opens no
+/// device.
 pub fn list() -> Vec<Device> {
     list_in(Path::new("/sys/class/video4linux"))
 }
@@ -35,14 +35,14 @@ fn list_in(class: &Path) -> Vec<Device> {
     devices
 }
 
-/// The devices in one line, for messages.
+/// All devices in one line, for messages.
 pub fn in_words() -> String {
     let devices = list();
     if devices.is_empty() {
         return "this machine has no video device".to_owned();
     }
     let names: Vec<String> = devices.iter().map(|d| format!("{} ({})", d.path.display(), d.name)).collect();
-    format!("present are: {}", names.join(", "))
+    format!("existing devices: {}", names.join(", "))
 }
 
 #[cfg(test)]

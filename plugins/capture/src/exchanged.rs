@@ -1,4 +1,4 @@
-//! A check of image files before a graph runs: whether the views are those of the calibration, or exchanged.
+//! Checks image files before a graph runs: do the views match the calibration, or are left and right swapped?
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
@@ -12,18 +12,18 @@ use panoscope_node::{Rect, View};
 
 use crate::source::{Picture, read};
 
-/// One view: its file and the part of the picture that it shows.
+/// A view: its file and the region of the image that it shows.
 #[derive(Clone, PartialEq)]
 pub struct FileView {
-    /// An image file.
+    /// Path of the image file.
     pub file: PathBuf,
-    /// Part of the picture.
+    /// Region of the image, px.
     pub rect: Rect,
-    /// The picture is turned as its file says.
+    /// Whether the image is rotated as its metadata says.
     pub is_upright: bool,
 }
 
-/// What was compared last: a graph is checked at each edit, and reading two images takes a while.
+/// The last comparison. A graph is checked at each edit, and reading two images is slow.
 static LAST: Mutex<Option<Compared>> = Mutex::new(None);
 
 struct Compared {
@@ -33,7 +33,7 @@ struct Compared {
     evidence: Option<OrderEvidence>,
 }
 
-/// Evidence that the views are exchanged; `None` where there is none, or where the images cannot be read as 8 bits of the calibration's size.
+/// Evidence that the views are swapped; `None` without such evidence, or where the images are not 8-bit images of the calibration's size.
 pub fn exchanged(views: [FileView; 2], calibration: &Calibration) -> Option<OrderEvidence> {
     let changed = views.each_ref().map(|view| view.file.metadata().and_then(|data| data.modified()).ok());
     let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
@@ -63,7 +63,7 @@ fn compare(views: &[FileView; 2], calibration: &Calibration) -> Option<OrderEvid
     Some(cameras.compare(&mut order, &Serial))
 }
 
-/// BGR pixels of a view of this size.
+/// BGR pixels of a view, which must have this size.
 fn pixels(view: &FileView, (width, height): (u32, u32)) -> Option<Vec<u8>> {
     let FileView { file, rect, is_upright } = view;
     if (rect.width, rect.height) != (width as usize, height as usize) || rect.is_empty() {

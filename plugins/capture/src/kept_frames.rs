@@ -1,4 +1,4 @@
-//! Frames of pictures that are shown again: a still picture, and files that are played round and round.
+//! Reuses the frames of images that are shown repeatedly: a still image, or files in a loop.
 
 use std::sync::Arc;
 
@@ -6,20 +6,20 @@ use panoscope_node::{Bgr8, Rect, Result, Retained, Slot};
 
 use crate::source::{Picture, Samples};
 
-/// Most memory for frames that are shown again, in bytes; further pictures are copied each time.
+/// Memory limit for reused frames, bytes. Further images are copied each time.
 const KEPT_BYTES: usize = 512 << 20;
-/// Most of these frames; the host takes a node that retains 128 for one that leaks.
+/// Maximum number of reused frames. The host reports a node that retains 128 frames as leaking.
 const KEPT_FRAMES: usize = 96;
 
-/// A part of a picture as a frame.
+/// A frame made from a region of an image.
 struct Kept {
-    /// Holds the pixels' memory, so that another picture has another address.
+    /// Keeps the pixels' memory alive, so that no other image gets the same address.
     pixels: Arc<Vec<u8>>,
     rect: Rect,
     frame: Retained<Bgr8>,
 }
 
-/// Frames of pictures whose source keeps them decoded.
+/// Frames of images whose source keeps them decoded.
 #[derive(Default)]
 pub struct KeptFrames {
     kept: Vec<Kept>,
@@ -27,17 +27,17 @@ pub struct KeptFrames {
 }
 
 impl KeptFrames {
-    /// Hands on the frame of `rect` of a picture, if there is one. Returns whether there was.
+    /// Forwards the frame of region `rect` of an image, if it exists. Returns whether it did.
     ///
     /// # Errors
-    /// Those of [`Slot::forward_anew`].
+    /// As [`Slot::forward_anew`].
     pub fn forward(&self, picture: &Picture, rect: Rect, slot: &mut Slot<'_, Bgr8>) -> Result<bool> {
         let Samples::Eight(pixels) = &picture.samples else { return Ok(false) };
         let found = self.kept.iter().find(|kept| Arc::ptr_eq(&kept.pixels, pixels) && kept.rect == rect);
         found.map_or(Ok(false), |kept| slot.forward_anew(&kept.frame).map(|()| true))
     }
 
-    /// Keeps the frame that was made of `rect` of a picture, where the source keeps the picture too.
+    /// Keeps the frame that was made from region `rect` of an image, if the source keeps the image too.
     pub fn keep(&mut self, picture: &Picture, rect: Rect, slot: &Slot<'_, Bgr8>) {
         let bytes = 3 * rect.width * rect.height;
         if let Samples::Eight(pixels) = &picture.samples

@@ -1,4 +1,4 @@
-//! Sources: cameras, video files, images, network streams, pipelines; the truth in files that belongs to their pictures.
+//! Sources: cameras, video files, images, network streams, pipelines, and the ground truth that belongs to their frames.
 
 mod boxes;
 pub mod capture;

@@ -1,4 +1,4 @@
-//! Live views: the newest pictures that arrived together. While a view is lost or silent, the others are delivered without it.
+//! Pairs live views: delivers the newest frames that arrived together. While a view is lost or silent, the others are delivered without it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,10 +8,10 @@ use panoscope_media::input::Signal;
 use crate::pairing::{Grabbed, Pairing, pair};
 use crate::source::{Clock, Grab, Stream};
 
-/// Longest wait of one step: connections are looked after in between.
+/// Maximum wait of one step; connections are polled in between.
 const STEP: Duration = Duration::from_millis(50);
 
-/// Pairs the pictures of live streams.
+/// Pairs the frames of live streams by arrival.
 pub struct Live {
     signal: Arc<Signal>,
     tolerance_ns: i64,
@@ -19,22 +19,22 @@ pub struct Live {
     limit: Duration,
     /// When the newest pair was complete.
     paired: Option<Instant>,
-    /// Arrivals of the pictures that wait, for each view that delivers.
+    /// Arrival times of the waiting frames, ns, for each view that delivers.
     waiting: Vec<Vec<i64>>,
-    /// The streams of which the newest grab has taken a picture.
+    /// For each stream, whether the newest grab took a frame from it.
     pub is_taken: Vec<bool>,
-    /// Pictures that had no partner.
+    /// Frames dropped because they had no partner.
     pub unpaired: u64,
-    /// Pictures that were dropped because a newer pair was there.
+    /// Frames dropped because a newer pair was complete.
     pub superseded: u64,
-    /// Time between the first and the last picture of the newest pair, ms.
+    /// Time between the first and the last frame of the newest pair, ms.
     pub skew_ms: f64,
-    /// Arrival of the oldest picture of the newest pair, ns of `CLOCK_MONOTONIC`.
+    /// Arrival of the oldest frame of the newest pair, ns of `CLOCK_MONOTONIC`.
     pub arrived_ns: i64,
 }
 
 impl Live {
-    /// Pictures further apart than `tolerance_s` do not belong together; every picture notifies `signal`.
+    /// Frames further apart than `tolerance_s` do not belong together. Every new frame notifies `signal`.
     pub fn new(signal: Arc<Signal>, tolerance_s: f64, limit: Duration) -> Self {
         Self {
             signal,
@@ -50,8 +50,8 @@ impl Live {
         }
     }
 
-    /// Takes one picture of each stream that delivers, waiting for pictures that belong together; [`Self::is_taken`] says of which ones. While
-    /// something `is_lost`, it waits one step only.
+    /// Takes one frame of each stream that delivers, and waits for frames that belong together; see [`Self::is_taken`]. While something `is_lost`, it
+    /// waits for one step only.
     pub fn grab(&mut self, streams: &mut [&mut Stream], clock: Clock<'_>, is_lost: bool) -> Grabbed {
         let since = *self.paired.get_or_insert_with(Instant::now);
         let begin = Instant::now();
@@ -99,7 +99,7 @@ impl Live {
             let all_give = || streams.iter().all(|stream| stream.is_heard_within(self.limit / 2, clock));
             if !is_lost && since.elapsed().min(begin.elapsed()) > self.limit && all_give() {
                 break Grabbed::Lost(format!(
-                    "all views give pictures, but none of them arrived within {:.1} ms of each other (`tolerance_ms`)",
+                    "all views deliver frames, but no frames arrived within {:.1} ms of each other; increase `tolerance_ms`",
                     self.tolerance_ns as f64 * 1e-6
                 ));
             }
@@ -108,7 +108,7 @@ impl Live {
         result
     }
 
-    /// Takes the pictures that arrived at `times`. A queue that was full may have dropped one of them meanwhile: then the others have no partner.
+    /// Takes the frames that arrived at `times`. If a full queue has dropped one of them meanwhile, the others have no partner.
     fn take(&mut self, streams: &mut [(usize, &mut Stream)], times: &[i64]) -> bool {
         let mut taken = 0;
         for ((_, stream), time) in streams.iter_mut().zip(times) {
@@ -121,10 +121,10 @@ impl Live {
     }
 }
 
-/// Looks after all connections; returns why streams are lost, if any is.
+/// Polls all connections. Returns why streams are lost, if any are.
 ///
 /// # Errors
-/// An end or a failure of a stream, as the result of the grab.
+/// A stream ended or failed; the result of the grab.
 fn poll(streams: &mut [&mut Stream], clock: Clock<'_>) -> Result<Option<String>, Grabbed> {
     let (mut losses, mut end) = (Vec::new(), None);
     // All are polled, and a failure matters more than an end.

@@ -1,40 +1,40 @@
-//! Which pictures of several live views belong together.
+//! Decides which frames of several live views belong together.
 
-/// What to do with the pictures that wait.
+/// What to do with the waiting frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Pairing {
-    /// One picture of each view, by its index in the view's list: the newest ones that belong together.
+    /// Take one frame of each view, by its index in the view's list: the newest ones that belong together.
     Take {
-        /// Index for each view.
+        /// Index in the list of each view.
         indices: Vec<usize>,
         /// Time between the first and the last of them, ns.
         skew_ns: i64,
     },
-    /// No partner can come any more for what arrived before these times, one for each view, ns; the rest waits.
+    /// Drop what arrived before these times, one for each view, ns: no partner can follow any more.
     Skip {
         /// Time for each view.
         before_ns: Vec<i64>,
     },
-    /// A partner may still come.
+    /// Wait: a partner may still arrive.
     Wait,
 }
 
-/// Result of grabbing one picture of every view.
+/// Result of grabbing one frame of every view.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Grabbed {
-    /// No view is lost. A live one that is silent may have no picture.
+    /// No view is lost. A silent live view may have no frame.
     Ready,
-    /// A view has no more pictures.
+    /// A view has no more frames.
     End,
-    /// A view has no more pictures although more were promised.
+    /// A view ended before the promised number of frames.
     Failed(String),
-    /// Devices or streams are gone, or no pictures of all views belong together; what happened. Views with `is_there` have a picture
-    /// nevertheless.
+    /// Devices or streams are gone, or the frames of the views do not belong together; the text says what happened. Views with `is_there` still have
+    /// a frame.
     Lost(String),
 }
 
-/// Pairs pictures by their arrival. `arrivals` holds the times of each view's waiting pictures, oldest first, ns; pictures that are further apart
-/// than `tolerance_ns` do not belong together.
+/// Pairs frames by their arrival. `arrivals`: times of each view's waiting frames, oldest first, ns. Frames further apart than `tolerance_ns` do not
+/// belong together.
 pub fn pair(arrivals: &[Vec<i64>], tolerance_ns: i64) -> Pairing {
     // The view whose newest picture is oldest decides: the others are at least as far.
     let newest = arrivals.iter().enumerate().filter_map(|(view, times)| Some((view, *times.last()?)));
@@ -96,7 +96,7 @@ mod tests {
         assert_eq!(pair(&[vec![1000, 1033, 1066], vec![1069]], 16), take(&[2, 0], 3));
     }
 
-    /// Two cameras with drift, jitter and drops: all pairs are the nearest ones, and nothing is used twice or out of order.
+    /// Two cameras with drift, jitter and drops: all pairs are the nearest ones, and no frame is used twice or out of order.
     #[test]
     fn drifting_views_with_drops_are_paired_nearest() {
         let mut chance = panoscope_node::random::SplitMix64(5);

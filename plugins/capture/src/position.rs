@@ -1,31 +1,31 @@
-//! Where a source stands, as bytes for the instance that replaces it.
+//! Position of a source, serialised for the instance that replaces it.
 
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::PathBuf;
 
 const MAGIC: &[u8; 8] = b"capture1";
 
-/// Where one view stands.
+/// Position of one view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ViewPosition {
-    /// What the view shows, as the parameters say it.
+    /// The source of the view, as the parameters name it.
     pub text: String,
-    /// Pictures grabbed so far.
+    /// Frames grabbed so far.
     pub grabbed: u64,
-    /// The file that comes next, where every picture has one of its own.
+    /// The next file, if every frame has a separate file.
     pub next_file: Option<PathBuf>,
 }
 
-/// Where all views stand.
+/// Position of the whole node.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Position {
-    /// Ticks made.
+    /// Number of ticks made.
     pub frame: u64,
     /// Capture time of the newest tick; -1 before the first.
     pub capture_ns: i64,
     /// Media time at which the present round of a loop began, in s.
     pub round_s: f64,
-    /// The views.
+    /// One position per view.
     pub views: Vec<ViewPosition>,
 }
 
@@ -34,7 +34,7 @@ fn put(bytes: &mut Vec<u8>, text: &[u8]) {
     bytes.extend(text);
 }
 
-/// Takes bytes from the front.
+/// Reads values from the front of a byte slice.
 struct Reader<'b>(&'b [u8]);
 
 impl<'b> Reader<'b> {
@@ -53,7 +53,7 @@ impl<'b> Reader<'b> {
 }
 
 impl Position {
-    /// As bytes.
+    /// Serialises the position.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         bytes.extend(self.frame.to_le_bytes());
@@ -67,7 +67,7 @@ impl Position {
         bytes
     }
 
-    /// From bytes; `None` when they are not a position.
+    /// Parses a position; `None` when the bytes are malformed.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut rest = Reader(bytes);
         if rest.word()? != *MAGIC {

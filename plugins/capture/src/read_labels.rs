@@ -1,4 +1,4 @@
-//! `read_labels`: true boxes from VOC or YOLO files, in step with the pictures that they belong to.
+//! `read_labels`: true boxes from VOC or YOLO files, in step with the images that they belong to.
 
 use std::path::Path;
 
@@ -10,36 +10,36 @@ use panoscope_node::{
 use crate::boxes::{self, Boxes};
 use crate::series::Series;
 
-/// Inputs.
+/// Input ports of `read_labels`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture of the source, such as `left` of `capture`. The labels with its number are read; boxes are scaled to its size.
+    /// Image of the source, such as `left` of `capture`. The labels with its number are read; boxes are scaled to its size.
     image: AnyImage<'f>,
 }
 
-/// Outputs. Empty behind the last file.
+/// Outputs. Empty after the last file.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The true boxes: score 1, or 0 for objects that are marked as difficult.
+    /// The true boxes, with score 1, or 0 for objects that are marked as difficult.
     detections: Slot<'f, LabeledDetections>,
 }
 
-/// Parameters.
+/// Parameters of `read_labels`.
 #[derive(Params)]
 pub struct ReadLabelsParams {
     /// Folder or pattern (labels/*.txt, Annotations/*.xml) of YOLO or VOC labels.
     #[param(default = "", reopen, file)]
     path: String,
-    /// Folder or pattern of the images, as in the source. With it labels belong to the image of their name, else of their number, and an image
-    /// without labels shows nothing; without it the n-th file in the order of their numbers belongs to the n-th image, and no number may be missing.
+    /// Folder or pattern of the images, as in the source. With it, labels are matched to images by name, else by number, and an image without labels
+    /// shows nothing. Without it, the n-th file by number belongs to the n-th image, and no number may be missing.
     #[param(default = "", reopen, file)]
     pictures: String,
-    /// Starts with the first file again behind the last one, as `loop` of `capture`.
+    /// Repeats the files from the first one, as `loop` of `capture`.
     #[param(default = false)]
     r#loop: bool,
 }
 
-/// See the module.
+/// The `read_labels` node.
 pub struct ReadLabels {
     series: Series,
     boxes: Boxes,
@@ -50,7 +50,7 @@ fn is_labels(path: &Path) -> bool {
     (boxes::is_yolo(path) && !is_list) || path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xml"))
 }
 
-/// Names of a YOLO set: beside the labels, or in the folders above, where data.yaml stands.
+/// Class names of a YOLO set, from the data.yaml in the folder of the labels or in one above it.
 fn yolo_classes(file: &Path) -> Vec<String> {
     let names = file.ancestors().skip(1).take(4).map(labels::yolo_names);
     names.into_iter().find(|names| !names.is_empty()).unwrap_or_default()
@@ -60,7 +60,7 @@ impl Node for ReadLabels {
     const INFO: NodeInfo = NodeInfo::blocking(
         "read_labels",
         "source",
-        "Reads true boxes from VOC or YOLO files, those of one picture after the other.",
+        "Reads true boxes from VOC or YOLO files, one image after the other.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

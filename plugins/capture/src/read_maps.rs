@@ -1,4 +1,4 @@
-//! `read_maps`: true disparity or depth from files, in step with the pictures that it belongs to.
+//! `read_maps`: true disparity or depth from files, in step with the images that they belong to.
 
 use panoscope_data::truth::maps;
 use panoscope_imaging::stereo::FloatImage;
@@ -17,49 +17,49 @@ pub enum Holds {
     Depth,
 }
 
-/// Inputs.
+/// Input ports of `read_maps`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
+    /// Image of the source, such as `left` of `capture`. The map with its number is read, and must have its size.
     image: AnyImage<'f>,
 }
 
-/// Outputs. Empty behind the last file.
+/// Outputs. Empty after the last file.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Disparity of the picture, if `holds` is `disparity`; NaN where the file has 0, a negative number or none.
+    /// Disparity of the image, if `holds` is `disparity`; NaN where the file has 0, a negative number or none.
     disparity: Slot<'f, Disparity>,
-    /// Depth of the picture, if `holds` is `depth`; NaN as above.
+    /// Depth of the image, if `holds` is `depth`; NaN where the file has 0, a negative number or none.
     depth: Slot<'f, Depth>,
 }
 
-/// Parameters.
+/// Parameters of `read_maps`.
 #[derive(Params)]
 pub struct ReadMapsParams {
     /// Folder, pattern (truth/*.pfm or truth/%04d.png) or file: NPY, PFM, TIFF, EXR or PNG; a single file belongs to every image. Of TIFF files with three floats the third one is taken; SCARED's x, y, z are of the raw left
     /// camera, so that z fits no rectified view: `data_set` moves them there.
     #[param(default = "", reopen, file)]
     path: String,
-    /// Folder or pattern of the images, as in the source. With it a map belongs to the image of its name, else of its number, and an image without
-    /// a map has no ground truth; without it the n-th map in the order of their numbers belongs to the n-th image, and no number may be missing.
+    /// Folder or pattern of the images, as in the source. With it, maps are matched to images by name, else by number, and an image without a map has
+    /// no ground truth. Without it, the n-th map by number belongs to the n-th image, and no number may be missing.
     #[param(default = "", reopen, file)]
     pictures: String,
     /// What the files hold.
     #[param(default = "disparity", reopen)]
     holds: Holds,
-    /// What the numbers of the files are divided by to get px or mm. 0 takes 256 for disparity in 16-bit PNG files, as KITTI writes it, and 1 for
-    /// everything else.
+    /// Divisor that converts the numbers in the files to px or mm. 0: 256 for disparity in 16-bit PNG files, as KITTI writes it, and 1 for everything
+    /// else.
     #[param(default = 0.0, range = 0.0..=1000000.0)]
     divisor: f32,
-    /// Starts with the first file again behind the last one, as `loop` of `capture`.
+    /// Repeats the files from the first one, as `loop` of `capture`.
     #[param(default = false)]
     r#loop: bool,
 }
 
-/// See the module.
+/// The `read_maps` node.
 pub struct ReadMaps {
     series: Series,
-    /// The map that was read last: its index and divisor.
+    /// The map that was read last, with its index and divisor.
     known: Option<(usize, f32, FloatImage)>,
 }
 
@@ -67,7 +67,7 @@ impl Node for ReadMaps {
     const INFO: NodeInfo = NodeInfo::blocking(
         "read_maps",
         "source",
-        "Reads true disparity or depth from files (NPY, PFM, TIFF, EXR, PNG), one map for each picture.",
+        "Reads true disparity or depth from files (NPY, PFM, TIFF, EXR, PNG), one map for each image.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -101,7 +101,7 @@ impl Node for ReadMaps {
         let (width, height) = (input.image.width(), input.image.height());
         if (map.width, map.height) != (width, height) {
             return Err(error!(
-                "{} is {}x{}, its picture {width}x{height}: give maps of the pictures' size",
+                "{} is {}x{}, but its image is {width}x{height}: give maps of the size of the images",
                 file.display(),
                 map.width,
                 map.height

@@ -1,4 +1,4 @@
-//! Files that belong to the images of a source: by the names or numbers of the images if those are given, else file n to image n.
+//! Files that belong to the images of a source: matched by the names or numbers of the images if those are given, else file n to image n.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,69 +9,46 @@ use panoscope_node::Context;
 
 /// Why there are no files.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SeriesError {
-    /// Nothing is given.
+    /// No file, folder or pattern is given.
     #[error("`path` is empty: give a file, a folder or a pattern such as truth/*.pfm or truth/%04d.pfm")]
     Empty,
     /// The file does not exist.
-    #[error("there is no file {path}", path = path.display())]
-    Missing {
-        /// Absolute path.
-        path: PathBuf,
-    },
-    /// A pattern or folder without such files.
+    #[error("the file {path} does not exist", path = path.display())]
+    Missing { path: PathBuf },
+    /// No file matches a pattern or folder.
     #[error("no {what} matches {pattern}; {hint}", pattern = pattern.display())]
-    NoMatch {
-        /// What is searched.
-        what: &'static str,
-        /// Absolute pattern.
-        pattern: PathBuf,
-        /// What the folder holds instead.
-        hint: PatternError,
-    },
-    /// Numbers are missing between two files.
+    NoMatch { what: &'static str, pattern: PathBuf, hint: PatternError },
+    /// Numbers are missing in the series.
     #[error(
-        "number(s) between {before} and {after} are missing, so that it is not known which image each {what} belongs to: name the images in `pictures`",
+        "number(s) between {before} and {after} are missing, so the image of each {what} is unknown: name the images in `pictures`",
         before = before.display(),
         after = after.display()
     )]
-    Gap {
-        /// What the files are.
-        what: &'static str,
-        /// The last file before the gap.
-        before: PathBuf,
-        /// The first file after it.
-        after: PathBuf,
-    },
+    Gap { what: &'static str, before: PathBuf, after: PathBuf },
     /// No file belongs to any of the images.
     #[error(
         "no {what} has the name or the number of an image: {file} and {image} are the first of each",
         file = file.display(),
         image = image.display()
     )]
-    Unpaired {
-        /// What the files are.
-        what: &'static str,
-        /// The first of them.
-        file: PathBuf,
-        /// The first image.
-        image: PathBuf,
-    },
+    Unpaired { what: &'static str, file: PathBuf, image: PathBuf },
 }
 
-/// The file of each image.
+/// The file that belongs to each image.
 #[derive(Debug)]
 pub struct Series {
-    /// What the files are, for messages.
+    /// Kind of file, for messages.
     what: &'static str,
-    /// By image; `None` for an image without one.
+    /// Path by index of the image; `None` for an image without a file.
     files: Vec<Option<PathBuf>>,
-    /// One file that belongs to every image.
+    /// Whether one file belongs to every image.
     is_single: bool,
     is_end_reported: bool,
 }
 
-/// The files for each of `images`: with the same name, else with the same number.
+/// Matches files to `images` by name, else by number.
 fn pair(what: &'static str, files: Vec<PathBuf>, images: &[PathBuf]) -> Result<Vec<Option<PathBuf>>, SeriesError> {
     let by_name: BTreeMap<_, _> = files.iter().map(|file| (file.file_stem(), file)).collect();
     let named: Vec<_> =
@@ -90,8 +67,8 @@ fn pair(what: &'static str, files: Vec<PathBuf>, images: &[PathBuf]) -> Result<V
 }
 
 impl Series {
-    /// Reads `text` as `capture` reads its sources: a folder, a pattern with `*`, `?` or `%04d`, or a file; relative paths are in `folder`.
-    /// `images` names the images in the same way; without them the files must be numbered without gaps.
+    /// Opens `text` as `capture` reads its sources: a folder, a pattern with `*`, `?` or `%04d`, or a file; relative to `folder`. `images` names the
+    /// images in the same way; without them the files must be numbered without gaps.
     ///
     /// # Errors
     /// See [`SeriesError`].
@@ -119,8 +96,7 @@ impl Series {
         Ok(Self { what, files, is_single, is_end_reported: false })
     }
 
-    /// Index of the tick's image and the file that belongs to it, if there is one. `None` behind the last image unless they start again with
-    /// `is_repeated`.
+    /// Index of the tick's image and its file, if there is one. `None` after the last image, unless `is_repeated`.
     pub fn of_tick(&mut self, cx: &Context<'_>, is_repeated: bool) -> Option<(usize, Option<&Path>)> {
         let (number, count) = (cx.tick().seq, self.files.len());
         let index = if self.is_single {
@@ -133,7 +109,7 @@ impl Series {
         if index >= count && !self.is_end_reported {
             self.is_end_reported = true;
             cx.warn(&format!(
-                "image {} and later ones have no {}: there are {count}, from {} on",
+                "image {} and later ones have no {}: only {count} exist, from {} on",
                 number + 1,
                 self.what,
                 self.files().next().map_or_else(String::new, |file| file.display().to_string()),
@@ -142,13 +118,13 @@ impl Series {
         self.files.get(index).map(|file| (index, file.as_deref()))
     }
 
-    /// The files.
+    /// All files, in order.
     pub fn files(&self) -> impl Iterator<Item = &PathBuf> {
         self.files.iter().flatten()
     }
 }
 
-/// Files in the order of their numbers, and whether `text` names one file.
+/// Files sorted by number, and whether `text` names a single file.
 fn list(
     text: &str,
     folder: &Path,

@@ -1,4 +1,4 @@
-//! Parameters of `capture`, and the checks that need no source to be open.
+//! Parameters of `capture`, and the checks that do not open a source.
 
 use std::path::{Path, PathBuf};
 
@@ -11,9 +11,9 @@ use crate::exchanged::{FileView, exchanged};
 use crate::source::{CaptureError, SourceName, unknown_element};
 use crate::views::pair_by_numbers;
 
-/// Silence after which a live source is lost.
+/// Default time of silence after which a live source is lost, s.
 const TIMEOUT_S: f64 = 1.0;
-/// Longest time that opening may take.
+/// Default time limit for opening, s.
 const OPEN_LIMIT_S: f64 = 10.0;
 /// Maximum number of views of one node.
 pub const MAX_VIEWS: usize = 4;
@@ -29,10 +29,10 @@ pub enum Split {
     TopBottom,
 }
 
-/// When the node holds pictures back to their rate.
+/// When the node holds frames back to their rate.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// In live mode. In batch mode pictures come as fast as they are read.
+    /// In live mode only. In batch mode frames come as fast as they are read.
     Auto,
     /// Always.
     On,
@@ -40,30 +40,30 @@ pub enum Pace {
     Off,
 }
 
-/// How the node turns pictures whose file says that they are to be turned.
+/// Whether the node rotates frames as their metadata says.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shown {
-    /// As the file says.
+    /// As the metadata says.
     Upright,
-    /// Not at all.
+    /// Never.
     AsStored,
 }
 
-/// How the node handles a damaged picture.
+/// What happens when a frame is damaged.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnDamage {
-    /// The node fails and names the file. In batch mode its pictures end there; in live mode it continues with the next one.
+    /// The node fails and names the file. In batch mode the run ends there; in live mode it continues with the next frame.
     Fail,
-    /// The tick is empty, with a warning; the next picture follows.
+    /// The tick is empty, with a warning; the next frame follows.
     Skip,
 }
 
-/// Parameters.
+/// Parameters of `capture`.
 #[derive(Params)]
 pub struct Settings {
-    /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address
-    /// (rtsp://..., or rtspt://... for TCP; a password as ${PANOSCOPE_SECRET_NAME}, an environment variable), or GStreamer pipeline (any text
-    /// with !). Pictures of folders and patterns are paired by the numbers in their names, videos by time, live views by their arrival.
+    /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address (rtsp://...,
+    /// or rtspt://... for TCP; a password as ${PANOSCOPE_SECRET_NAME}, an environment variable), or GStreamer pipeline (any text with !). Images of
+    /// folders and patterns are paired by the numbers in their names, videos by time, live views by arrival.
     #[param(default = "", reopen, file)]
     pub left: String,
     /// Right view, as `left`.
@@ -72,55 +72,55 @@ pub struct Settings {
     /// Up to four views instead of `left` and `right`, separated by semicolons.
     #[param(default = "", reopen, file)]
     pub views: String,
-    /// Splits one picture into both views; give `left` only.
+    /// Splits one frame into both views; give `left` only.
     #[param(default = "none", reopen)]
     pub split: Split,
-    /// Crop in px: x, y, width, height once for all views, or once for each. Width or height 0 reaches to the edge. Pictures are split first.
+    /// Crop in px: x, y, width, height, once for all views or once for each. A width or height of 0 extends to the edge. Frames are split first.
     #[param(default = [], range = 0..=16, rectangles)]
     pub crop: Vec<f64>,
-    /// Starts files again at their end. Without it a single image is one tick in batch mode.
+    /// Repeats files from the start. Without it a single image is one tick in batch mode.
     #[param(default = false, reopen)]
     pub r#loop: bool,
-    /// Pictures per second of media time, for all views. 0 takes the times in the videos, and 30 per second for images.
+    /// Frames per second of media time, for all views. 0: the times in the videos, and 30 per second for images.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub rate_hz: f64,
-    /// When to hold pictures back to their rate. Cameras keep their own pace.
+    /// When to hold frames back to their rate. Cameras keep their own pace.
     #[param(default = "auto")]
     pub pace: Pace,
     /// Number of ticks after which the source ends; 0 never ends it.
     #[param(default = 0, range = 0..=1000000000, unit = "frames")]
     pub frames: u64,
-    /// Columns requested from cameras; 0 leaves their mode.
+    /// Width requested from cameras; 0 keeps their mode.
     #[param(default = 0, range = 0..=16384, unit = "px", reopen)]
     pub width: u32,
-    /// Rows requested from cameras; 0 leaves their mode.
+    /// Height requested from cameras; 0 keeps their mode.
     #[param(default = 0, range = 0..=16384, unit = "px", reopen)]
     pub height: u32,
-    /// Pictures per second requested from cameras; 0 leaves their mode.
+    /// Frame rate requested from cameras; 0 keeps their mode.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub fps: f64,
-    /// Locks exposure and gain of all cameras at the values of view 0 after `lock_after` pictures.
+    /// Locks exposure and gain of all cameras at the values of view 0 after `lock_after` frames.
     #[param(default = false, reopen)]
     pub lock_exposure: bool,
-    /// Locks the white balance of all cameras at the value of view 0 after `lock_after` pictures.
+    /// Locks the white balance of all cameras at the value of view 0 after `lock_after` frames.
     #[param(default = false, reopen)]
     pub lock_white_balance: bool,
-    /// Number of pictures after which exposure and white balance are locked.
+    /// Number of frames after which exposure and white balance are locked.
     #[param(default = 30, range = 0..=10000, unit = "frames", reopen)]
     pub lock_after: u64,
-    /// How a damaged picture of a file is handled. Damaged pictures of live sources are counted and leave their tick empty.
+    /// What happens when a frame of a file is damaged. Damaged frames of live sources are counted and leave their tick empty.
     #[param(default = "fail")]
     pub on_damage: OnDamage,
-    /// How pictures are turned whose file says that they are to be (EXIF of images, the display matrix of videos).
+    /// Whether frames are rotated as their metadata says (EXIF of images, the display matrix of videos).
     #[param(default = "upright", reopen)]
     pub orientation: Shown,
-    /// Bit depth of pictures with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
+    /// Bit depth of frames with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
     #[param(default = 0, range = 0..=16)]
     pub bit_depth: u32,
-    /// Largest difference of the times of pictures that belong together. 0 is half a period of the fastest view.
+    /// Maximum time between frames that belong together. 0: half a period of the fastest view.
     #[param(default = 0.0, range = 0.0..=10000.0, unit = "ms", reopen)]
     pub tolerance_ms: f64,
-    /// A camera, stream or live pipeline without data for this long is lost: it is opened again until it is back.
+    /// A camera, stream or live pipeline without data for this long is lost; it is reopened until it is back.
     #[param(default = TIMEOUT_S, range = 0.1..=60.0, unit = "s", reopen)]
     pub timeout_s: f64,
     /// Time limit for opening a camera, stream or pipeline.
@@ -132,31 +132,31 @@ pub struct Settings {
     pub calibration: String,
 }
 
-/// Why the parameters name no sources.
+/// Why the parameters do not name a valid set of sources.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SourcesError {
-    /// Nothing is given.
-    #[error("no source: give `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`")]
+    /// No source is given.
+    #[error(
+        "no source is given: set `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`"
+    )]
     None,
     /// Both forms are given.
     #[error("give either `views` or `left` and `right`, not both")]
     Both,
-    /// `right` is given alone.
+    /// `right` is given without `left`.
     #[error("`right` is given without `left`")]
     RightAlone,
-    /// More views than the node has.
-    #[error("{count} views are given, {MAX_VIEWS} are the most")]
-    TooMany {
-        /// Views given.
-        count: usize,
-    },
+    /// More views than the node supports.
+    #[error("{count} views exceed the limit of {MAX_VIEWS}")]
+    TooMany { count: usize },
     /// `split` with more than one source.
-    #[error("`split` cuts one picture in two: give `left` only")]
+    #[error("`split` divides one frame into both views: give only `left`")]
     SplitOfMany,
 }
 
 impl SourcesError {
-    /// The parameter that is wrong.
+    /// Name of the parameter that is wrong.
     pub fn param(self) -> &'static str {
         match self {
             Self::None => "left",
@@ -168,7 +168,7 @@ impl SourcesError {
 }
 
 impl Settings {
-    /// For files that are named otherwise: nothing is asked of cameras, nothing is cut or split.
+    /// Settings for files that another node names: no camera modes, no crop, no split.
     pub(crate) fn of_files() -> Self {
         let none = String::new;
         Self {
@@ -197,7 +197,7 @@ impl Settings {
         }
     }
 
-    /// Whether pictures are turned as their files say.
+    /// Whether frames are rotated as their files say.
     pub fn is_upright(&self) -> bool {
         self.orientation == Shown::Upright
     }
@@ -205,7 +205,7 @@ impl Settings {
     /// The texts that name sources, each with its parameter.
     ///
     /// # Errors
-    /// No source, too many, or forms that exclude each other.
+    /// No source, too many, or both forms at once.
     pub fn source_texts(&self) -> std::result::Result<Vec<(&'static str, &str)>, SourcesError> {
         let pair = [self.left.trim(), self.right.trim()];
         let list: Vec<&str> = self.views.split([';', '\n']).map(str::trim).filter(|t| !t.is_empty()).collect();
@@ -229,7 +229,7 @@ impl Settings {
     /// Reads the calibration, if a file is given.
     ///
     /// # Errors
-    /// A file that is no calibration.
+    /// The file is not a calibration.
     pub fn read_calibration(&self, folder: &Path) -> Result<Option<Calibration>> {
         let names = self.calibration.split(';').map(str::trim).filter(|name| !name.is_empty());
         let files: Vec<PathBuf> = names.map(|name| folder.join(name)).collect();
@@ -250,7 +250,7 @@ impl Settings {
         } else if let Some(doubt) = calibration.iter().flatten().find_map(panoscope_data::calibration::doubt) {
             check.warning("calibration", doubt, "");
         } else if self.calibration.trim().is_empty() && check.is_read("calibration") == Some(true) {
-            let message = "output `calibration` is read and stays empty: no calibration file is given";
+            let message = "output `calibration` is connected but stays empty: no calibration file is given";
             check.warning("calibration", message, "give a file, as in calibration = \"stereo.yaml\"");
         }
         let texts = match self.source_texts() {
@@ -262,7 +262,7 @@ impl Settings {
             if text.contains('!')
                 && let Some(element) = unknown_element(text)
             {
-                let message = format!("the pipeline names `{element}`, which is no GStreamer element of this machine");
+                let message = format!("the pipeline names `{element}`, which is not an installed GStreamer element");
                 check.error(
                     param,
                     message,
@@ -273,7 +273,7 @@ impl Settings {
                 Ok(name) => Some(name),
                 // A camera may be plugged in before the graph runs.
                 Err(error @ CaptureError::NoDevice { .. }) => {
-                    check.warning(param, error.to_string(), "plug it in before the graph runs");
+                    check.warning(param, error.to_string(), "connect it before the graph runs");
                     None
                 }
                 Err(error) => {
@@ -292,14 +292,14 @@ impl Settings {
             missing.iter().find(|(name, view)| *view >= views && check.is_read(name) == Some(true))
         {
             let message = format!(
-                "output `{output}` is read and stays empty: {views} view{} given",
+                "output `{output}` is connected but stays empty: only {views} view{} given",
                 if views == 1 { " is" } else { "s are" }
             );
             check.node_warning(message, "name one more source, or set `split`");
         }
     }
 
-    /// How a picture is split, where it is.
+    /// How a frame is split; `None` if it is not.
     pub fn halves(&self) -> Option<Halves> {
         match self.split {
             Split::None => None,
@@ -308,7 +308,7 @@ impl Settings {
         }
     }
 
-    /// Reports image files that are exchanged.
+    /// Reports image files that are swapped.
     fn check_order(&self, names: &[Option<SourceName>], calibration: &Calibration, check: &mut Validation<'_>) {
         let is_split = self.split != Split::None;
         let mut names: Vec<SourceName> = names.iter().flatten().cloned().collect();
@@ -340,19 +340,19 @@ impl Settings {
         let (Some(left), Some(right)) = (view(0), view(1)) else { return };
         if let Some(OrderEvidence { pairs, fitting, .. }) = exchanged([left, right], calibration) {
             let message = format!(
-                "left and right look swapped: of {pairs} features that both views show, {} fit the calibration as the views are given and {} with the views exchanged",
+                "left and right appear to be swapped: of {pairs} features in both views, {} fit the calibration as given and {} with the views swapped",
                 fitting[0], fitting[1]
             );
             let help = if is_split {
                 "connect output `right` where `left` is meant and `left` where `right` is, or use the calibration of these views"
             } else {
-                "exchange the sources of `left` and `right`, or use the calibration of these views"
+                "swap the sources of `left` and `right`, or use the calibration of these views"
             };
             check.warning("calibration", message, help);
         }
     }
 
-    /// Reports crops that fit no picture, or not the first image of a view.
+    /// Reports crops that fit no frame, or not the first image of a view.
     fn check_crops(&self, names: &[Option<SourceName>], check: &mut Validation<'_>) {
         let views = if self.split == Split::None { names.len() } else { 2 };
         for view in 0..views {

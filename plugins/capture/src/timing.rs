@@ -1,20 +1,20 @@
-//! Capture times of the ticks, and waiting until a picture is due.
+//! Capture times of the ticks, and pacing of frames.
 
 use std::time::Duration;
 
 use crate::source::Clock;
 
-/// Longest wait for a picture's time: a jump in a file's times is not waited for.
+/// Maximum wait for a frame's time; a larger jump in a file's timestamps is not waited for.
 const MAX_PAUSE: Duration = Duration::from_millis(1500);
 
-/// Times of one instance. All times are ns; those of the host's clock come from the caller.
+/// Times of one instance, ns. Times of the host's clock are passed in by the caller.
 #[derive(Debug)]
 pub struct Timing {
     /// Capture time of the newest tick; -1 before the first.
     pub capture_ns: i64,
-    /// Time of the clock, and the capture time then, that the pace counts from.
+    /// Host time, and the capture time at that moment, from which the pace counts.
     pace_from: Option<(i64, i64)>,
-    /// The same for devices, whose capture time is the clock's.
+    /// The same for devices, whose capture time is the host's.
     device_from: Option<(i64, i64)>,
 }
 
@@ -24,19 +24,19 @@ impl Default for Timing {
     }
 }
 
-/// Where the time of a picture comes from.
+/// Where the time of a frame comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Time {
     /// The source gives it: media time, s.
     Media(f64),
-    /// Arrival by the host's clock, ns, for a live source; `None` for a tick without a picture.
+    /// Arrival by the host's clock, ns, for a live source; `None` for a tick without a frame.
     Device(Option<i64>),
     /// The number of the tick and the rate, Hz.
     Rate(u64, f64),
 }
 
 impl Timing {
-    /// Sets and returns the capture time of a tick, always later than the one before.
+    /// Computes the capture time of a tick, always later than the previous one.
     pub fn advance(&mut self, time: Time, clock: Clock<'_>) -> i64 {
         let next_ns = match time {
             Time::Media(media_s) => (media_s * 1e9).round() as i64,
@@ -51,12 +51,12 @@ impl Timing {
         self.capture_ns
     }
 
-    /// Forgets the pace: the next picture that is paced is due at once.
+    /// Resets the pace: the next paced frame is due at once.
     pub fn reset_pace(&mut self) {
         self.pace_from = None;
     }
 
-    /// Sleeps until the newest picture is due. `period` is the time between two pictures.
+    /// Sleeps until the newest frame is due. `period` is the time between two frames.
     pub fn wait(&mut self, period: Duration, clock: Clock<'_>) {
         let now_ns = clock();
         let (start_ns, first_ns) = *self.pace_from.get_or_insert((now_ns, self.capture_ns));

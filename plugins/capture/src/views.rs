@@ -1,4 +1,4 @@
-//! The views of one node: taken together, pictures of one instant.
+//! The views of one node, grabbed together: frames of one instant.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,48 +11,48 @@ use crate::live::Live;
 use crate::pairing::Grabbed;
 use crate::source::{CaptureError, Clock, Demands, Grab, Picture, Source, SourceName, Stream};
 
-/// Rates that differ by no more than this share are meant to be one.
+/// Rates that differ by at most this share count as equal.
 const SAME_RATE: f64 = 0.01;
-/// Pictures further apart than this share of the fastest view's period do not belong together.
+/// Frames further apart than this share of the fastest view's period do not belong together.
 const TOLERANCE: f64 = 0.5;
-/// Rate of live sources that state none, Hz.
+/// Assumed rate of live sources that state none, Hz.
 const LIVE_FPS: f64 = 30.0;
-/// Names of files that a message lists.
+/// Maximum number of file names that a message lists.
 const LISTED: usize = 6;
 
-/// One source and its newest picture.
+/// One source and its newest frame.
 pub struct View {
     /// The camera, file or pipeline.
     pub source: Source,
-    /// The newest picture.
+    /// The newest frame.
     pub picture: Picture,
-    /// The tick has a picture of it.
+    /// Whether the tick has a frame of it.
     pub is_there: bool,
-    /// Result of decoding it.
+    /// Result of decoding the newest frame.
     pub result: Result<(), CaptureError>,
     /// The source's name for messages.
     pub name: String,
     /// The source as the parameters name it.
     pub text: String,
-    /// A picture was grabbed that belongs to no tick, because another view ended.
+    /// Whether a frame was grabbed that belongs to no tick, because another view ended.
     is_ahead: bool,
 }
 
-/// All views of a node. They are behind locks because images are decoded on several threads at a time.
+/// All views of a node. Each is behind a lock, because images are decoded on several threads.
 pub struct Views {
     list: Vec<Mutex<View>>,
     live: Live,
-    /// Arrival of the tick's oldest live picture, ns of `CLOCK_MONOTONIC`.
+    /// Arrival of the tick's oldest live frame, ns of `CLOCK_MONOTONIC`.
     arrived_ns: Option<i64>,
-    /// Rate of pictures that have no time of their own, and of all when it `is_forced`.
+    /// Rate of frames without a timestamp, or of all frames when it `is_forced`.
     rate_hz: f64,
     is_forced: bool,
-    /// Pictures further apart in time than this do not belong together, s.
+    /// Frames further apart than this do not belong together, s.
     tolerance_s: f64,
 
     /// Time between two ticks, s.
     period_s: f64,
-    /// One rate for all: every picture should have a partner.
+    /// Whether all views have one rate, so that every frame should have a partner.
     is_one_rate: bool,
     /// Media time at which the present round of a loop began, s.
     pub round_s: f64,
@@ -60,7 +60,7 @@ pub struct Views {
     skew_ms: f64,
 }
 
-/// Up to [`LISTED`] file names.
+/// The first [`LISTED`] file names, as text.
 fn listed(files: &[PathBuf]) -> String {
     let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut text = files.iter().take(LISTED).map(name).collect::<Vec<_>>().join(", ");
@@ -70,7 +70,7 @@ fn listed(files: &[PathBuf]) -> String {
     text
 }
 
-/// Two views with the same image files, such as one folder given for both.
+/// Two views with the same image files, for example one folder given for both.
 pub fn same_files(names: &[SourceName]) -> Option<[usize; 2]> {
     let images = |index: usize| match &names[index] {
         SourceName::Images(files) if files.len() > 1 => Some(files),
@@ -80,7 +80,7 @@ pub fn same_files(names: &[SourceName]) -> Option<[usize; 2]> {
     pairs.into_iter().find(|[a, b]| images(*a).is_some() && images(*a) == images(*b))
 }
 
-/// Pairs the pictures of folders and patterns by the numbers in their names; lists of files keep their order. Returns remarks for the user.
+/// Pairs the images of folders and patterns by the numbers in their names; lists of files keep their order. Returns remarks for the user.
 pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String> {
     let mut remarks = Vec::new();
     let is_pattern = |index: usize| !texts[index].trim().contains('\n');
@@ -98,14 +98,14 @@ pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String
         if !lonely.is_empty() {
             remarks.push(format!(
                 "{} of `{}` without a partner in every other view are skipped: {}",
-                if lonely.len() == 1 { "1 picture".to_owned() } else { format!("{} pictures", lonely.len()) },
+                if lonely.len() == 1 { "1 image".to_owned() } else { format!("{} images", lonely.len()) },
                 texts[index],
                 listed(lonely)
             ));
         }
     }
     if !found.by_number && !remarks.is_empty() {
-        remarks.push("the names share no numbers: the pictures are paired in the order of their names".to_owned());
+        remarks.push("the names share no numbers: images are paired in the order of their names".to_owned());
     }
     for (index, files) in series.into_iter().zip(found.views) {
         names[index] = SourceName::Images(files);
@@ -114,7 +114,7 @@ pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String
 }
 
 impl Views {
-    /// Opens all sources; `rate_hz` 0 takes the first rate that a source has, else `default_hz`; `tolerance_ms` 0 is half a period.
+    /// Opens all sources. `rate_hz` 0: the first rate that a source has, else `default_hz`. `tolerance_ms` 0: half a period.
     ///
     /// # Errors
     /// As [`Source::open`].
@@ -172,7 +172,7 @@ impl Views {
         self.list.len()
     }
 
-    /// All views; decoding threads lock one each.
+    /// All views; each decoding thread locks one.
     pub fn locked(&self) -> &[Mutex<View>] {
         &self.list
     }
@@ -193,42 +193,42 @@ impl Views {
         views.filter_map(|(index, view)| view.source.stream().filter(|s| !s.is_connected()).map(|_| index)).collect()
     }
 
-    /// Rate of pictures without a time of their own.
+    /// Rate of frames without a timestamp, Hz.
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
-    /// Arrival of the tick's oldest picture of a live view, ns of `CLOCK_MONOTONIC`; `None` without such a view.
+    /// Arrival of the tick's oldest frame of a live view, ns of `CLOCK_MONOTONIC`; `None` without such a view.
     pub fn arrived_ns(&self) -> Option<i64> {
         self.arrived_ns
     }
 
-    /// Sum of a count over all streams.
+    /// Sums a count over all streams.
     pub fn total(&mut self, count: impl Fn(&Stream) -> u64) -> u64 {
         self.iter().filter_map(|view| view.source.stream().map(&count)).sum()
     }
 
-    /// What is unusual in the pictures of the streams, in words.
+    /// Unusual properties of the streams' frames, as text.
     pub fn remarks(&mut self) -> Vec<String> {
         self.iter().filter_map(|view| view.source.stream()?.remark()).collect()
     }
 
-    /// Time between the first and the last picture of the tick, ms: of media time where sources have one, else of arrival.
+    /// Time between the first and the last frame of the tick, ms: media time if the sources have it, else arrival.
     pub fn skew_ms(&self) -> f64 {
         self.skew_ms
     }
 
-    /// Number of pictures without a partner although all views have one rate.
+    /// Number of frames without a partner although all views have one rate.
     pub fn unpaired(&self) -> u64 {
         self.unpaired + self.live.unpaired
     }
 
-    /// Number of live pictures that were dropped because newer ones came.
+    /// Number of live frames that were dropped because newer ones arrived.
     pub fn dropped(&mut self) -> u64 {
         self.live.superseded + self.total(Stream::dropped)
     }
 
-    /// A warning where the views' rates differ.
+    /// A warning if the views' rates differ.
     pub fn rates_in_words(&mut self) -> Option<String> {
         if self.is_one_rate {
             return None;
@@ -237,20 +237,22 @@ impl Views {
         let rates: Vec<String> = self
             .iter()
             .filter(|view| !view.source.is_still() && !view.source.is_device())
-            .map(|view| format!("{} has {:.3} per second", view.name, view.source.native_fps().unwrap_or(rate_hz)))
+            .map(|view| {
+                format!("{} has {:.3} frames per second", view.name, view.source.native_fps().unwrap_or(rate_hz))
+            })
             .collect();
         Some(format!(
-            "the views have different rates ({}): pictures are paired by time, those between are skipped",
+            "the views have different rates ({}): frames are paired by time, and frames in between are skipped",
             rates.join(", ")
         ))
     }
 
-    /// Whether a source sets the pace by itself.
+    /// Whether a source sets the pace itself.
     pub fn has_device(&mut self) -> bool {
         self.iter().any(|view| view.source.is_device())
     }
 
-    /// Whether nothing but stills is shown, which have no end.
+    /// Whether all views are stills, which have no end.
     pub fn are_stills(&mut self) -> bool {
         self.iter().all(|view| view.source.is_still())
     }
@@ -261,8 +263,8 @@ impl Views {
         self.iter().find_map(|view| view.source.media_s(rate_hz, is_forced)).map(|time| round_s + time)
     }
 
-    /// Takes one picture of every view: the newest live ones that arrived together, the next ones of the others, then more of those that are behind
-    /// in media time. Of live views, those that are lost or silent have none.
+    /// Takes one frame of every view: the newest live ones that arrived together, and the next ones of the others, then more of those that lag in
+    /// media time. Lost or silent live views have none.
     pub fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, is_lost: bool) -> Grabbed {
         self.arrived_ns = None;
         let (mut live, mut others) = (Vec::new(), Vec::new());
@@ -292,7 +294,7 @@ impl Views {
         }
     }
 
-    /// Takes the next pictures of the views that are not live, and more of those that are behind.
+    /// Takes the next frames of the views that are not live, and more of those that lag.
     fn grab_others(&mut self, others: &[usize], cx: &Context<'_>, clock: Clock<'_>) -> Grabbed {
         let mut times = Vec::with_capacity(self.len());
         match self.grab_some(others, &mut times, clock) {
@@ -324,7 +326,7 @@ impl Views {
                 if self.unpaired == 0 {
                     let name = self.view(behind[0]).name.clone();
                     cx.warn(&format!(
-                        "the picture of {name} at {oldest:.3} s has no partner within {:.1} ms in every other view and is skipped",
+                        "the frame of {name} at {oldest:.3} s has no partner within {:.1} ms in every other view and is skipped",
                         tolerance_s * 1e3
                     ));
                 }
@@ -359,7 +361,7 @@ impl Views {
         result
     }
 
-    /// A warning about pictures left in some views when another one has ended.
+    /// A warning about frames left in some views when another one has ended.
     pub fn left_over(&mut self) -> Option<String> {
         let more = |view: &View| match view.source.is_still() || view.source.is_device() {
             true => 0,
@@ -372,7 +374,7 @@ impl Views {
         Some(format!("{ended} has ended; {}, without a partner", left.join(", ")))
     }
 
-    /// Starts all views again, one period after the end.
+    /// Restarts all views, one period after the end.
     ///
     /// # Errors
     /// As [`Source::rewind`].

@@ -1,4 +1,4 @@
-//! What is damaged is named with its place, ends a batch or is left out, and never shows pixels of another picture.
+//! Damaged files are named with their location, end a batch or are skipped, and never show pixels of another frame.
 
 use crate::common;
 use std::fs;
@@ -25,7 +25,7 @@ fn a_batch_ends_at_a_damaged_picture_with_its_place() {
     let (all, failure) = drain_to_failure(&mut node);
     assert_eq!(all.len(), 2);
     let message = failure.unwrap();
-    for words in ["STATUS_END", "2.png", "picture 3 of 5", "on_damage"] {
+    for words in ["STATUS_END", "2.png", "image 3 of 5", "on_damage"] {
         assert!(message.contains(words), "{words}: {message}");
     }
     // It stays ended, whoever asks.

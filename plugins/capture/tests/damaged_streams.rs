@@ -1,4 +1,4 @@
-//! A campaign of damaged videos, seeded: bits flipped, parts cut out, cut off or zeroed. No picture that is shown may have pixels of an earlier one,
+//! A campaign of damaged videos, seeded: bits flipped, parts cut out, cut off or zeroed. No frame that is shown may have pixels of an earlier one,
 //! and nothing may crash.
 //!
 //! A flipped bit can leave data that are valid and mean something else. No decoder sees that. In a JPEG it changes pixels but cannot bring earlier
@@ -19,14 +19,14 @@ use panoscope_node::random::SplitMix64;
 const SIZE: (usize, usize) = (320, 240);
 const PICTURES: usize = 36;
 const FPS: f64 = 25.0;
-/// Columns and rows of the areas that are compared, px.
+/// Side of the compared areas, px.
 const AREA: usize = 16;
-/// Mean difference of an area's pixels that counts as none: both decode the same data.
+/// Mean difference of an area's pixels below which both decode the same data.
 const SAME: f64 = 2.0;
-/// Of so many pictures of damaged H.264, at most one may hold stale areas that no decoder can see.
+/// Of this many frames of damaged H.264, at most one may contain stale areas that no decoder can detect.
 const MAX_STALE: usize = 50;
 const FLIPPED: &str = "flipped";
-/// Earlier pictures that an area is compared with.
+/// Number of earlier frames that an area is compared with.
 const BEFORE: usize = 12;
 
 struct Video {
@@ -40,9 +40,9 @@ struct Video {
 struct Shown {
     whole: usize,
     withheld: usize,
-    /// Pictures with damaged areas that hold nothing of earlier pictures.
+    /// Frames with damaged areas that contain nothing of earlier frames.
     wrong: usize,
-    /// Areas with pixels of an earlier picture, and pictures with such areas.
+    /// Number of areas with pixels of an earlier frame, and of frames with such areas.
     stale: usize,
     stale_pictures: usize,
 }
@@ -56,7 +56,7 @@ fn pixels(out: &Outputs) -> Option<Vec<u8>> {
     Some((0..plane.height).flat_map(|y| plane.row(y)[..3 * SIZE.0].to_vec()).collect())
 }
 
-/// Plays a video; pixels and number of each tick, and the failure at its end.
+/// Plays a video. Returns pixels and number of each tick, and the failure at its end.
 fn play(folder: &Folder, name: &str) -> Option<Vec<(usize, Option<Vec<u8>>)>> {
     let mut node = folder.try_open(&format!(r#"left = "{name}", on_damage = "skip""#)).ok()?;
     let mut all = Vec::new();
@@ -125,7 +125,7 @@ fn judge(video: &Video, ticks: &[(usize, Option<Vec<u8>>)], shown: &mut Shown) {
     }
 }
 
-/// One kind of damage beyond the first tenth of the file, where headers and the first key picture are, or anywhere.
+/// Damages the bytes in one way, either after the first tenth of the file, where headers and the first keyframe are, or anywhere.
 fn damage(bytes: &mut Vec<u8>, chance: &mut SplitMix64) -> &'static str {
     let start = if chance.below(8) == 0 { 0 } else { bytes.len() / 10 };
     let place = |chance: &mut SplitMix64, length: usize| start + chance.below(length - start);

@@ -1,4 +1,4 @@
-//! `data_set` on tiny copies of each layout: pictures, calibration, truth at known pixels, boxes.
+//! `data_set` on tiny copies of each layout: images, calibration, ground truth at known pixels, boxes.
 
 use crate::samples;
 use std::path::Path;
@@ -336,7 +336,7 @@ fn what_is_wrong_is_named_with_its_file() {
     assert!(message.contains("disp0GT.pfm"), "{message}");
     std::fs::write(&truth, b"Pf\n1 1\n-1\n1234").unwrap();
     let message = failure("MiddEval3", "trainingQ/Adirondack");
-    assert!(message.contains("disp0GT.pfm is 1x1, its picture 64x48"), "{message}");
+    assert!(message.contains("disp0GT.pfm is 1x1, but its image is 64x48"), "{message}");
     let points = tree.at("SCARED/dataset_1/keyframe_1/left_depth_map.tiff");
     let bytes = std::fs::read(&points).unwrap();
     std::fs::write(&points, &bytes[..bytes.len() / 2]).unwrap();
@@ -346,7 +346,7 @@ fn what_is_wrong_is_named_with_its_file() {
     let mask = "EndoVis2017/instrument_dataset_2/ground_truth/Other_labels/frame000.png";
     tree.mask(mask, (10, 10), &[]);
     let message = failure("EndoVis2017", "instrument_dataset_2");
-    assert!(message.contains("Other_labels/frame000.png is 10x10, its picture 64x48"), "{message}");
+    assert!(message.contains("Other_labels/frame000.png is 10x10, but its image is 64x48"), "{message}");
     tree.write(mask, "no picture");
     let message = failure("EndoVis2017", "instrument_dataset_2");
     assert!(message.contains("the mask is damaged or no PNG"), "{message}");
@@ -364,10 +364,10 @@ fn outputs_that_stay_empty_are_warned_of() {
     };
     assert!(problems(r#"folder = "MiddEval3", sequence = "trainingQ/Adirondack""#, &["left", "depth"]).is_empty());
     let said = problems(r#"folder = "pairs""#, &["left", "calibration", "depth"]);
-    assert!(said.iter().any(|p| p.contains("output `calibration` is read and stays empty")), "{said:?}");
-    assert!(said.iter().any(|p| p.contains("the sequence has no true maps")), "{said:?}");
+    assert!(said.iter().any(|p| p.contains("output `calibration` is connected but stays empty")), "{said:?}");
+    assert!(said.iter().any(|p| p.contains("the sequence has no ground-truth maps")), "{said:?}");
     let said = problems(r#"folder = "Middlebury2006""#, &["disparity", "depth"]);
-    assert!(said.len() == 1 && said[0].contains("it takes a calibration to turn disparity into depth"), "{said:?}");
+    assert!(said.len() == 1 && said[0].contains("a calibration is needed to convert disparity to depth"), "{said:?}");
     assert!(problems("", &["left"])[0].contains("no folder is given"));
     assert!(problems(r#"folder = "pairs", sequence = "x""#, &["left"])[0].contains("has no sequence `x`"));
 }

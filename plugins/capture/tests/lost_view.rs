@@ -1,4 +1,4 @@
-//! One of two live views is lost: the other one goes on, the lost one is named, and pairs are formed when it is back.
+//! One of two live views is lost: the other one continues, the lost one is named, and pairs are formed again when it is back.
 
 use std::net::UdpSocket;
 use std::time::Instant;
@@ -10,10 +10,10 @@ use panoscope_node::harness::{Harness, Outputs, Setup};
 
 use crate::common::{Folder, until};
 
-/// Longest time between two frames, ms: a tick waits no longer than a camera's pause and one step.
+/// Maximum time between two frames, ms: a tick waits at most for a camera's pause and one step.
 const MAX_STEP_MS: f64 = 1000.0;
 
-/// Largest time between the frames of a pair, ms: two senders have no common clock.
+/// Maximum time between the frames of a pair, ms: two senders have no common clock.
 const TOLERANCE_MS: f64 = 60.0;
 
 /// A sender of frames over UDP, which can be stopped and started.
@@ -38,7 +38,7 @@ impl Sender {
         self.pipeline.set_state(state).unwrap();
     }
 
-    /// The source that receives it.
+    /// The source text that receives it.
     fn receiver(&self) -> String {
         let caps = "application/x-rtp,media=video,clock-rate=90000,encoding-name=JPEG,payload=26";
         format!("udpsrc port={} caps=\"{caps}\" ! rtpjpegdepay", self.port)
@@ -184,7 +184,7 @@ fn a_view_that_stops_gives_no_pairs_of_old_frames() {
     assert!((1..=20).contains(&pairs), "{pairs}");
     let out = out.unwrap();
     assert!(
-        !has(&out, "right") && out.fault().is_some_and(|fault| fault.contains("is gone after")),
+        !has(&out, "right") && out.fault().is_some_and(|fault| fault.contains("disappeared after")),
         "{:?}",
         out.fault()
     );

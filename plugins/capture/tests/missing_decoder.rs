@@ -1,4 +1,4 @@
-//! A decoder that is not installed is named with its package. A test program of its own: it hides the decoders from the whole process.
+//! A decoder that is not installed is named with its package. This is a separate test program, because it hides the decoders from the whole process.
 
 use crate::common::{Folder, encode, scene};
 use gstreamer as gst;

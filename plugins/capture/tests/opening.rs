@@ -1,4 +1,4 @@
-//! Nothing that does not answer hangs the node, and what was lost is waited for.
+//! A source that does not answer never hangs the node, and a lost source is reopened.
 
 use crate::common;
 use std::io::{Read, Write};
@@ -51,7 +51,7 @@ fn jpeg(gray: u8) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// Serves Motion JPEG: `frames` for every text that comes, then the connection ends and the next one is waited for.
+/// Serves Motion JPEG: sends `frames` for every text received, then the connection ends and the next one is accepted.
 fn serve(listener: &TcpListener, connections: usize, served: &Sender<()>, end: &Receiver<()>) {
     for _ in 0..connections {
         let Ok((mut stream, _)) = listener.accept() else { return };
@@ -99,7 +99,10 @@ fn a_lost_stream_is_a_fault_and_comes_back() {
     end.send(()).unwrap();
     let out = until(&mut node, |out| out.fault().is_some()).unwrap();
     let words = out.fault().unwrap().to_owned();
-    assert!(words.contains(&address) && words.contains("is gone after") && words.contains("opened again"), "{words}");
+    assert!(
+        words.contains(&address) && words.contains("disappeared after") && words.contains("retrying every second"),
+        "{words}"
+    );
     assert!(out.is_empty("left").unwrap());
     assert_eq!(node.metric("lost"), Some(1.0));
     // Empty ticks, each later than the one before, and one fault only.
@@ -126,7 +129,7 @@ fn a_lost_stream_ends_a_batch_with_its_place() {
     let (all, failure) = common::drain_to_failure(&mut node);
     let message = failure.expect("a lost stream is no regular end");
     assert!(
-        message.contains("STATUS_END") && message.contains(&format!("is gone after {} frames", all.len() + 1)),
+        message.contains("STATUS_END") && message.contains(&format!("disappeared after {} frames", all.len() + 1)),
         "{message}"
     );
     drop(end);

@@ -1,4 +1,4 @@
-//! Pictures whose file says that they are to be turned.
+//! Images and videos whose metadata asks for a rotation.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Pictures of one instant belong together: by their numbers, by their times, and what has no partner is named.
+//! Frames of one instant are paired, by number or by time, and frames without a partner are named.
 
 use crate::common::{Folder, WIDTH, drain, value, warned, write_video_at};
 
@@ -43,7 +43,7 @@ fn unequal_counts_are_said() {
     folder.image("right_a.png", 1, WIDTH);
     let mut node = folder.open(r#"left = "left_*.png", right = "right_*.png""#);
     assert_eq!(drain(&mut node).len(), 1);
-    assert!(warned(&node, "2 pictures of `left_*.png`") && warned(&node, "left_b.png"), "{:?}", node.logs());
+    assert!(warned(&node, "2 images of `left_*.png`") && warned(&node, "left_b.png"), "{:?}", node.logs());
     assert!(warned(&node, "in the order of their names"));
     write_video_at(&folder.0.join("long.avi"), 20.0, 0..9);
     write_video_at(&folder.0.join("short.avi"), 20.0, 0..4);

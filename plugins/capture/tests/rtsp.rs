@@ -1,4 +1,4 @@
-//! Two RTSP streams whose server is killed and started again. The number in every picture is the time at which it was drawn, so that the age of what is
+//! Two RTSP streams whose server is killed and started again. The number in every frame is the time at which it was drawn, so that the age of what is
 //! shown can be read from it.
 //!
 //! The ordinary form lasts some seconds. PANOSCOPE_RTSP_SECONDS and PANOSCOPE_RTSP_KILLS choose the duration and how often the server is killed:
@@ -25,16 +25,16 @@ const FPS: f64 = 30.0;
 const PERIOD_NS: i64 = 33_333_333;
 /// Set in the child process: the port of its server.
 const PORT: &str = "PANOSCOPE_RTSP_PORT";
-/// Set in the child process: pictures come at this rate, whatever their times say.
+/// Set in the child process: rate of the frames, whatever their timestamps say.
 const RATE: &str = "PANOSCOPE_RTSP_RATE";
-/// A picture that is older than this when it is shown is an old one, ms.
+/// A frame older than this when it is shown is too old, ms.
 const OLD_MS: f64 = 1000.0;
 
 fn number_now() -> usize {
     (monotonic_ns() / PERIOD_NS) as usize & 0xFFFF
 }
 
-/// Draws pictures as long as the process lives.
+/// Draws frames as long as the process lives.
 fn feed(source: &AppSrc, rate_hz: f64) {
     let begin = Instant::now();
     for index in 0.. {
@@ -54,7 +54,7 @@ fn feed(source: &AppSrc, rate_hz: f64) {
     }
 }
 
-/// Not a test of its own: the server, in a process that the tests kill.
+/// Not a test: the server, in a process that the tests kill.
 #[test]
 fn server_process() {
     let Ok(port) = std::env::var(PORT) else { return };
@@ -118,7 +118,7 @@ fn from_environment(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
 
-/// Age of the picture with this number, ms.
+/// Age of the frame with this number, ms.
 fn age_ms(number: usize) -> f64 {
     let periods = (number_now() as i64 - number as i64).rem_euclid(0x1_0000);
     let periods = if periods > 0x8000 { periods - 0x1_0000 } else { periods };

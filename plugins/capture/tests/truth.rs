@@ -1,4 +1,4 @@
-//! `read_maps` and `read_labels`: the file that belongs to the picture, in every tick.
+//! `read_maps` and `read_labels`: the file that belongs to the frame, in every tick.
 
 use std::fs;
 
@@ -60,7 +60,7 @@ fn the_map_of_a_picture_has_its_number() -> TestResult {
         let out = node.input_image::<Gray8>("image", 2, 1, &[0; 2]).process()?;
         assert!(out.is_empty("disparity")?);
     }
-    let warnings = node.logs().iter().filter(|line| line.level == Level::Warn && line.message.contains("there are 3"));
+    let warnings = node.logs().iter().filter(|line| line.level == Level::Warn && line.message.contains("only 3 exist"));
     assert_eq!(warnings.count(), 1, "{:?}", node.logs());
     // A picture that was dropped takes its map with it; `loop` starts again.
     let mut node = maps(&folder, r#"path = "d_*.pfm", loop = true, holds = "depth", divisor = 2.0"#)?;
@@ -90,7 +90,7 @@ fn kitti_files_are_divided_and_wrong_ones_named() -> TestResult {
     fs::write(folder.0.join("cut.pfm"), b"Pf\n2 1\n-1\n1234").expect("written");
     let mut node = maps(&folder, r#"path = "cut.pfm""#)?;
     let other = maps(&folder, r#"path = "000000_10.png""#)?.input_image::<Gray8>("image", 1, 2, &[0; 2]).process();
-    assert!(other.is_err_and(|error| error.to_string().contains("2x1, its picture 1x2")));
+    assert!(other.is_err_and(|error| error.to_string().contains("2x1, but its image is 1x2")));
     let error = node.input_image::<Gray8>("image", 2, 1, &[0; 2]).process().err().map(|e| e.to_string());
     assert!(error.as_ref().is_some_and(|e| e.contains("cut.pfm") && e.contains("8 expected")), "{error:?}");
     Ok(())

@@ -90,7 +90,7 @@ fn crops_and_halves() {
     assert_eq!((left.width, right.width, left.row(0)[1], right.row(0)[1]), (10, 10, 0, 6));
     node.set_params(r#"params = { left = "a.png", right = "a.png", loop = true, crop = [9, 0, 10, 8] }"#).unwrap();
     let message = node.process().err().unwrap().to_string();
-    assert!(message.contains("leaves the picture of 16x8"), "{message}");
+    assert!(message.contains("extends beyond the frame of 16x8"), "{message}");
     let out = folder.open(r#"left = "a.png", split = "side_by_side""#).process().unwrap();
     let right = out.plane::<Bgr8>("right").unwrap();
     assert_eq!((right.width, right.height, right.row(0)[1]), (8, 8, 8));
@@ -138,7 +138,7 @@ fn mistakes_are_named() {
     let cases = [
         (r#"left = "b.png""#, absolute.as_str()),
         (r#"left = "*.jpg""#, "no image matches"),
-        (r#"left = "note.txt""#, "it is no video that GStreamer knows"),
+        (r#"left = "note.txt""#, "it is not a video that GStreamer supports"),
         (r#"left = "4711""#, "/dev/video4711"),
         ("", "no source"),
         (r#"right = "a.png""#, "without `left`"),
@@ -317,7 +317,7 @@ fn a_calibration_travels_with_the_views() {
     assert!(message.contains("scope.yml") && message.contains("No such file"), "{message}");
 }
 
-/// A random texture that is never twice the same, in cells of some px.
+/// A random texture without repetition, in cells of a few px.
 fn texture(x: u32, y: u32) -> u8 {
     let layer = |cell: u32, seed: u32| {
         let (x, y) = (x / cell, y / cell);
@@ -349,14 +349,14 @@ fn a_check_names_files_that_are_exchanged() {
     };
     for sources in [r#"left = "r_1.png", right = "l_1.png""#, r#"left = "r_*.png", right = "l_*.png""#] {
         let said = problems(sources);
-        assert!(said.contains("left and right look swapped") && said.contains("exchange the sources"), "{said}");
+        assert!(said.contains("left and right appear to be swapped") && said.contains("swap the sources"), "{said}");
     }
     let said = problems(r#"left = "halves.png", split = "side_by_side""#);
-    assert!(said.contains("left and right look swapped") && said.contains("connect output `right`"), "{said}");
+    assert!(said.contains("left and right appear to be swapped") && said.contains("connect output `right`"), "{said}");
     let said = problems(r#"left = "l_*.png", right = "r_*.png""#);
     assert!(!said.contains("swapped"), "{said}");
     // Another image of the same name is looked at again.
     view(25).save(folder.0.join("l_1.png")).unwrap();
     view(0).save(folder.0.join("r_1.png")).unwrap();
-    assert!(problems(r#"left = "l_*.png", right = "r_*.png""#).contains("look swapped"));
+    assert!(problems(r#"left = "l_*.png", right = "r_*.png""#).contains("appear to be swapped"));
 }

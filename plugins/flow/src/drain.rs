@@ -1,4 +1,4 @@
-//! `drain` and `drain_blocking`: sinks that count pictures.
+//! `drain` and `drain_blocking`: sinks that count frames.
 
 use panoscope_node::abi::{FNV_START, Frame, fnv1a};
 use panoscope_node::{Context, NoPorts, Node, NodeInfo, Open, Params, Result};
@@ -8,12 +8,12 @@ use crate::ports::In;
 /// Parameters of both sinks.
 #[derive(Params)]
 pub struct DrainParams {
-    /// Reads all bytes and reports a digest of everything received, as the metric `digest`.
+    /// Reads all bytes and reports a digest of all frames received, as the metric `digest`.
     #[param(default = false)]
     digest: bool,
 }
 
-/// Folds a frame and its tick into a digest.
+/// Adds a frame and its tick to a digest.
 fn fold(hash: u64, frame: &Frame) -> u64 {
     // SAFETY: an input's buffer is alive and not written for the length of the call.
     let bytes = unsafe { std::slice::from_raw_parts(frame.data, frame.len) };
@@ -42,12 +42,12 @@ impl Count {
     }
 }
 
-/// Takes pictures and counts them.
+/// Receives frames and counts them.
 #[derive(Default)]
 pub struct Drain(Count);
 
 impl Node for Drain {
-    const INFO: NodeInfo = NodeInfo::compute("drain", "sink", "Counts pictures and releases them.").side_effects();
+    const INFO: NodeInfo = NodeInfo::compute("drain", "sink", "Counts frames and releases them.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = DrainParams;
@@ -62,13 +62,13 @@ impl Node for Drain {
     }
 }
 
-/// Takes pictures on a thread of its own and counts them.
+/// Receives frames on a separate thread and counts them.
 #[derive(Default)]
 pub struct DrainBlocking(Count);
 
 impl Node for DrainBlocking {
     const INFO: NodeInfo =
-        NodeInfo::blocking("drain_blocking", "sink", "Counts pictures and releases them, on its own thread.")
+        NodeInfo::blocking("drain_blocking", "sink", "Counts frames and releases them, on its own thread.")
             .side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;

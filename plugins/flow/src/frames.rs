@@ -12,7 +12,7 @@ pub struct Out<'f> {
     image: Slot<'f, AnyFormat>,
 }
 
-/// Pixel format of the frames.
+/// Pixel format of the test frames.
 #[derive(Choice, Clone, Copy)]
 pub enum Format {
     /// 8-bit gray.
@@ -27,36 +27,36 @@ pub enum Format {
     F32,
 }
 
-/// What is drawn.
+/// Content of the test frames.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Pattern {
     /// A diagonal ramp that moves by one pixel per frame; the first pixel is the tick number modulo 256.
     Ramp,
     /// Noise that differs from frame to frame and is the same in every run.
     Noise,
-    /// Nothing: pixels are what the buffer held before. Only for timing what comes after.
+    /// Nothing: pixels keep what the buffer held before. Only for timing the nodes that follow.
     None,
 }
 
 /// Size, format, pattern and rate of the frames.
 #[derive(Params)]
 pub struct FramesParams {
-    /// Width.
+    /// Width of the frames.
     #[param(default = 640, range = 1..=16384, unit = "px")]
     width_px: usize,
-    /// Height.
+    /// Height of the frames.
     #[param(default = 480, range = 1..=16384, unit = "px")]
     height_px: usize,
-    /// Pixel format.
+    /// Pixel format of the frames.
     #[param(default = "bgr8")]
     format: Format,
-    /// What is drawn.
+    /// Content of the frames.
     #[param(default = "ramp")]
     pattern: Pattern,
-    /// Frames per second of media time; a live graph keeps to it.
+    /// Frames per second of media time; a live graph runs at this rate.
     #[param(default = 30.0, range = 0.001..=1000000.0, unit = "Hz")]
     rate_hz: f64,
-    /// Frames to make; 0 for no end.
+    /// Number of frames; 0 for no end.
     #[param(default = 0, range = 0..=1000000000)]
     count: u64,
     /// Media time of the first frame.

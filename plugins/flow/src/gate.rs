@@ -1,4 +1,4 @@
-//! `gate`: lets pictures through, or not.
+//! `gate`: passes or blocks frames.
 
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
 
@@ -7,16 +7,16 @@ use crate::ports::{In, Out};
 /// The gate's state.
 #[derive(Params)]
 pub struct Switch {
-    /// Whether pictures pass; when closed, the output is empty.
+    /// Whether frames pass; when closed, the output is empty.
     #[param(default = true)]
     open: bool,
 }
 
-/// Forwards pictures while it is open.
+/// Forwards frames while it is open.
 pub struct Gate;
 
 impl Node for Gate {
-    const INFO: NodeInfo = NodeInfo::compute("gate", "flow", "Forwards pictures while it is open.");
+    const INFO: NodeInfo = NodeInfo::compute("gate", "flow", "Forwards frames while it is open.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Switch;

@@ -1,16 +1,16 @@
-//! `level`: the brightness of pictures, as numbers.
+//! `level`: the brightness of images, as numbers.
 
 use panoscope_node::abi::Scalar;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, View};
 
-/// Inputs.
+/// Input ports of `level`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture.
+    /// The image to measure.
     image: Image<'f, Gray8>,
 }
 
-/// Outputs.
+/// Output ports of `level`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Mean of the window, times the gain.
@@ -19,24 +19,24 @@ pub struct Out<'f> {
     levels: Slot<'f, TableData>,
 }
 
-/// The window and the spots that are measured.
+/// The window and the spots to measure.
 #[derive(Params)]
 pub struct LevelParams {
     /// Factor of all levels.
     #[param(default = 1.0, range = 0.0..=8.0, step = 0.1, unit = "ratio")]
     gain: f64,
-    /// Part of the picture that is measured: x, y, width, height; without it, all of it.
+    /// Region of the image that is measured: x, y, width, height; without it, the whole image.
     #[param(default = [], range = 0..=4, unit = "px", rectangles)]
     window: Vec<f64>,
-    /// Further points that are measured: u, v, u, v, ...
+    /// Additional points to measure: u, v, u, v, ...
     #[param(default = [], range = 0..=32, unit = "px", points)]
     spots: Vec<f64>,
 }
 
-/// Measures the brightness of pictures.
+/// Measures the brightness of images.
 pub struct Level;
 
-/// Rows and columns of the window inside the picture.
+/// Rows and columns of the window, clipped to the image.
 fn window(image: &View<'_, u8>, window: &[f64]) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     let [x, y, width, height] = *window else { return (0..image.height, 0..image.width) };
     // Casts keep to the range of their type; NaN becomes 0.
@@ -48,7 +48,7 @@ fn window(image: &View<'_, u8>, window: &[f64]) -> (std::ops::Range<usize>, std:
 }
 
 impl Node for Level {
-    const INFO: NodeInfo = NodeInfo::compute("level", "flow", "Measures the brightness of pictures.");
+    const INFO: NodeInfo = NodeInfo::compute("level", "flow", "Measures the brightness of images.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = LevelParams;

@@ -1,4 +1,4 @@
-//! `pass` and `pass_blocking`: hand a picture on.
+//! `pass` and `pass_blocking`: forward a frame.
 
 use std::time::Duration;
 
@@ -6,11 +6,11 @@ use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
 
 use crate::ports::{In, Out};
 
-/// Forwards pictures, inline after their producer.
+/// Forwards frames, inline after their producer.
 pub struct Pass;
 
 impl Node for Pass {
-    const INFO: NodeInfo = NodeInfo::compute("pass", "flow", "Forwards pictures without a copy.");
+    const INFO: NodeInfo = NodeInfo::compute("pass", "flow", "Forwards frames without a copy.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = ();
@@ -24,20 +24,20 @@ impl Node for Pass {
     }
 }
 
-/// How long to hold a picture.
+/// How long to hold a frame.
 #[derive(Params)]
 pub struct Wait {
-    /// Time that the node sleeps per picture, as a slow device would.
+    /// Time that the node sleeps per frame, as a slow device would.
     #[param(default = 0.0, range = 0.0..=10000.0, unit = "ms")]
     wait_ms: f64,
 }
 
-/// Forwards pictures from a thread of its own, after a pause.
+/// Forwards frames from a separate thread, after a pause.
 pub struct PassBlocking;
 
 impl Node for PassBlocking {
     const INFO: NodeInfo =
-        NodeInfo::blocking("pass_blocking", "flow", "Forwards pictures from its own thread, after an optional pause.");
+        NodeInfo::blocking("pass_blocking", "flow", "Forwards frames from its own thread, after an optional pause.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Wait;

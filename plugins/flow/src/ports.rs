@@ -1,15 +1,15 @@
-//! Ports that several nodes share: one picture in, one picture out.
+//! Ports that several nodes share: one frame in, one frame out.
 
 use panoscope_node::{AnyFormat, AnyImage, Ports, Slot};
 
-/// One picture of any format.
+/// One frame of any format.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture.
+    /// The frame to forward.
     pub image: AnyImage<'f>,
 }
 
-/// The picture handed on.
+/// The forwarded frame.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The same buffer as the input: nothing is copied.

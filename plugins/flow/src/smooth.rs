@@ -1,24 +1,24 @@
-//! `smooth`: averages over time, with the past handed in through the graph.
+//! `smooth`: averages over time; the past is an input of the graph.
 
 use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
 
-/// Inputs.
+/// Input ports of `smooth`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture.
+    /// The newest image.
     image: Image<'f, Bgr8>,
-    /// What this node made of the tick before: wire its own output here with `delay = 1`.
+    /// Output of this node at the previous tick: wire its own output here with `delay = 1`.
     past: Option<Image<'f, Bgr8>>,
 }
 
-/// Outputs.
+/// Output ports of `smooth`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The weighted mean of picture and past.
+    /// Weighted mean of `image` and `past`.
     image: Slot<'f, Bgr8>,
 }
 
-/// How much is averaged.
+/// How strongly the past counts.
 #[derive(Params)]
 pub struct Memory {
     /// Weight of the past, in 1/256.
@@ -26,11 +26,11 @@ pub struct Memory {
     past_weight: u32,
 }
 
-/// Averages pictures over time. It holds nothing itself, so it can be replaced while it runs.
+/// Averages images over time. It has no state, so it can be replaced while it runs.
 pub struct Smooth;
 
 impl Node for Smooth {
-    const INFO: NodeInfo = NodeInfo::compute("smooth", "filter", "Averages pictures over time.");
+    const INFO: NodeInfo = NodeInfo::compute("smooth", "filter", "Averages images over time.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Memory;

@@ -1,25 +1,25 @@
-//! `transpose`: rows become columns, so that views above one another are matched as views side by side are.
+//! `transpose`: swaps rows and columns, so that views above one another can be matched like views side by side.
 
 use panoscope_node::{Bgr8, Context, Disparity, Image, Node, NodeInfo, Open, Ports, Result, Slot, View, ViewMut};
 
-/// Side of the squares in which pixels are moved: both sides of the copy stay in the cache.
+/// Side of the square tiles in which pixels are moved, px: source and destination of a tile fit into the cache.
 const TILE: usize = 32;
 
-/// Inputs.
+/// Input ports of `transpose`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// A picture.
+    /// Image to transpose.
     image: Option<Image<'f, Bgr8>>,
-    /// A disparity map, px, NaN where unmatched.
+    /// Disparity map to transpose, px, NaN where unmatched.
     disparity: Option<Image<'f, Disparity>>,
 }
 
-/// Outputs.
+/// Output ports of `transpose`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The picture, mirrored at its diagonal.
+    /// The image, mirrored at its diagonal.
     image: Slot<'f, Bgr8>,
-    /// The map, mirrored at its diagonal; its values stay.
+    /// The map, mirrored at its diagonal; its values do not change.
     disparity: Slot<'f, Disparity>,
 }
 
@@ -44,7 +44,7 @@ impl Node for Transpose {
     const INFO: NodeInfo = NodeInfo::compute(
         "transpose",
         "flow",
-        "Swaps rows and columns of a picture or a disparity map, so that views above one another can be matched.",
+        "Swaps rows and columns of an image or a disparity map, so that views above one another can be matched.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

@@ -1,5 +1,4 @@
-//! `composite_opencv`: OpenCV's stitching classes in the order of its own stitcher: gains and seam on shrunken views, blend at full
-//! resolution.
+//! `composite_opencv`: OpenCV's stitching classes in the order of its own stitcher: gains and seam on reduced views, blend at full resolution.
 
 use opencv::core::{
     BORDER_CONSTANT, BORDER_REFLECT, CV_8U, CV_8UC1, CV_16S, CV_32F, Mat, Point, Rect, Scalar, Size, UMat, Vector,
@@ -26,13 +25,13 @@ use crate::register::shrink;
 pub enum SeamFinder {
     /// Minimum cut: `GraphCutSeamFinder`, as OpenCV's stitcher takes it.
     GraphCut,
-    /// Shortest path: `DpSeamFinder`.
+    /// Shortest path by dynamic programming: `DpSeamFinder`.
     DynamicProgramming,
-    /// No seam: the blender mixes all of the overlap.
+    /// No seam: the blender mixes the whole overlap.
     None,
 }
 
-/// Cost that the seam avoids.
+/// Cost that the seam minimises.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SeamCost {
     /// Differences of colour, as in OpenCV's stitcher and its sample `stitching_detailed`.
@@ -44,25 +43,25 @@ pub enum SeamCost {
 /// Parameters of the composite.
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeOpencvParams {
-    /// Size to which each view is shrunk for gains and seam, in million pixels; 0 uses full resolution. OpenCV's stitcher uses 0.1.
+    /// Size to which each view is reduced for gains and seam, in megapixels; 0 uses full resolution. OpenCV's stitcher uses 0.1.
     #[param(default = 0.0, range = 0.0..=10.0, step = 0.05)]
     seam_megapixels: f64,
     /// Method that finds the seam between the views.
     #[param(default = "graph_cut")]
     seam: SeamFinder,
-    /// Cost that the seam avoids.
+    /// Cost that the seam minimises.
     #[param(default = "color")]
     seam_cost: SeamCost,
     /// Equalises the exposure with one gain per view.
     #[param(default = true)]
     gain: bool,
-    /// Width of the blend in percent of the panorama's side, as in OpenCV's sample.
+    /// Width of the blend, as a percentage of the panorama's side, as in OpenCV's sample.
     #[param(default = 5.0, range = 0.0..=100.0, step = 1.0, unit = "%")]
     blend_strength: f64,
     /// Margin around the first good registration, so that the canvas need not move.
     #[param(default = 16, range = 0..=512, unit = "px")]
     canvas_margin: u32,
-    /// Number of OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads. Applies to the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -70,7 +69,7 @@ pub struct CompositeOpencvParams {
 /// Inputs of the composite.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view; the panorama lies in its plane.
+    /// Left view; the panorama is in its plane.
     left: Image<'f, Bgr8>,
     /// Right view of the same instant.
     right: Image<'f, Bgr8>,
@@ -87,17 +86,17 @@ pub struct Out<'f> {
     mask: Slot<'f, Mask>,
     /// Rectangle of the left view in the panorama, px.
     canvas: Slot<'f, Roi>,
-    /// View that each pixel shows: 0 none, 1 the left one, 2 the right one.
+    /// View that each pixel shows: 0 none, 1 left, 2 right.
     shown: Slot<'f, Gray8>,
 }
 
-/// See the module.
+/// The `composite_opencv` node.
 pub struct CompositeOpencv {
     canvas: Compositor,
     threads: Threads,
 }
 
-/// A view on the canvas.
+/// A view warped onto the canvas.
 struct CanvasView {
     corner: Point,
     image: Mat,
@@ -132,7 +131,7 @@ fn warped(view: View<'_, u8>, map: &Map, canvas: &Canvas) -> opencv::Result<Canv
     Ok(CanvasView { corner: Point::new(x, y), image, mask })
 }
 
-/// The view shrunk for gains and seam.
+/// The view reduced for gains and seam.
 fn shrunk(view: &CanvasView, scale: f64) -> opencv::Result<CanvasView> {
     let (mut image, mut mask) = (Mat::default(), Mat::default());
     imgproc::resize(&view.image, &mut image, Size::default(), scale, scale, INTER_LINEAR_EXACT)?;
@@ -165,7 +164,7 @@ fn apply(compensator: &mut Detail_GainCompensator, views: &mut [CanvasView; 2]) 
     Ok(())
 }
 
-/// The masks of both views cut along the seam, as large as the views.
+/// Masks of both views cut along the seam, at the size of the views.
 fn seam(views: &[CanvasView; 2], params: &CompositeOpencvParams) -> opencv::Result<[Mat; 2]> {
     const TERMINAL_COST: f32 = 10_000.0;
     const BAD_REGION_PENALTY: f32 = 1_000.0;
@@ -193,7 +192,7 @@ fn seam(views: &[CanvasView; 2], params: &CompositeOpencvParams) -> opencv::Resu
     Ok([mats::from_umat(&masks.get(0)?)?, mats::from_umat(&masks.get(1)?)?])
 }
 
-/// A mask cut on the shrunken view, at the size of the whole one.
+/// A mask cut on the reduced view, enlarged to the size of the full one.
 fn enlarged(small: &Mat, whole: &Mat) -> opencv::Result<Mat> {
     let (mut wide, mut full, mut cut) = (Mat::default(), Mat::default(), Mat::default());
     imgproc::dilate_def(small, &mut wide, &Mat::default())?;

@@ -1,30 +1,30 @@
-//! OpenCV's detectors with the number of points bounded, and its brute-force matcher.
+//! OpenCV's detectors with a limit on the number of points, and its brute-force matcher.
 
 use opencv::core::{DMatch, KeyPoint, Mat, NORM_HAMMING, NORM_L2, ToInputArray, Vector, no_array};
 use opencv::features2d::{AKAZE, AKAZE_DescriptorType, BFMatcher, KAZE_DiffusivityType, ORB, ORB_ScoreType, SIFT};
 use opencv::prelude::*;
 use panoscope_node::Choice;
 
-/// Which features OpenCV finds.
+/// Kind of features that OpenCV detects.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detector {
-    /// Differences of Gaussians, 128 floats.
+    /// SIFT: differences of Gaussians, 128 floats.
     Sift,
-    /// Nonlinear scale space, binary descriptor.
+    /// AKAZE: nonlinear scale space, binary descriptor.
     Akaze,
-    /// Corners, binary descriptor.
+    /// ORB: corners, binary descriptor.
     Orb,
 }
 
 /// Keypoints of a view and their descriptors, strongest first, one descriptor per row.
 pub struct FoundFeatures {
-    /// Positions and sizes.
+    /// Position and size of each point, px.
     pub points: Vec<KeyPoint>,
     /// One row per point.
     pub descriptors: Mat,
 }
 
-/// A pair of keypoints.
+/// A match of two keypoints.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair {
     /// Index in the left features.
@@ -33,11 +33,11 @@ pub struct Pair {
     pub right: usize,
     /// Distance of the descriptors, in OpenCV's measure.
     pub distance: f32,
-    /// That distance divided by the second-best one; 0 when there is no second.
+    /// Ratio of that distance to the second-best one; 0 when there is no second.
     pub ratio: f32,
 }
 
-/// The rows of a matrix that `order` names, in that order.
+/// The rows of a matrix with the indices `order`, in that order.
 fn rows_of(all: &Mat, order: &[usize]) -> opencv::Result<Mat> {
     if order.is_empty() {
         return Ok(Mat::default());
@@ -95,7 +95,7 @@ impl Detector {
         Ok(FoundFeatures { points: strongest, descriptors: rows_of(&descriptors, &order)? })
     }
 
-    /// Ratio test, and each the other's best when `mutual`.
+    /// Matches descriptors with the ratio test, and requires each point to be the other's best when `mutual`.
     ///
     /// # Errors
     /// OpenCV's.

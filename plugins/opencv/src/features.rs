@@ -12,19 +12,19 @@ pub struct FeaturesParams {
     /// Kind of features.
     #[param(default = "sift")]
     detector: Detector,
-    /// Largest number of keypoints per view, strongest first; 0 uses OpenCV's default.
+    /// Maximum number of keypoints per view, strongest first; 0 uses OpenCV's default.
     #[param(default = 0, range = 0..=100_000, unit = "points")]
     max_points: u32,
     /// Threshold of the detector; 0 uses OpenCV's default (0.04, 0.001, 20).
     #[param(default = 0.0, range = 0.0..=1000.0)]
     threshold: f64,
-    /// Largest ratio of the best to the second-best distance of a match.
+    /// Maximum ratio of the best to the second-best distance of a match.
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
     /// Keeps a match only when each point is the other's best.
     #[param(default = true)]
     mutual: bool,
-    /// Number of OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads. Applies to the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -49,7 +49,7 @@ pub struct Out<'f> {
     matches: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `features_opencv` node.
 pub struct FeaturesOpencv {
     threads: Threads,
 }

@@ -1,6 +1,6 @@
-//! OpenCV's engines as nodes, so that anyone can compare them with ours inside one graph.
+//! OpenCV's engines as nodes, so that they can be compared with Panoscope's inside one graph.
 //!
-//! The steps are those of OpenCV's `stitching_detailed` sample; the nodes keep a canvas that holds still, as ours do.
+//! The steps are those of OpenCV's `stitching_detailed` sample; like our nodes, these keep the canvas constant over time.
 
 mod calibrate;
 mod composite;

@@ -1,4 +1,4 @@
-//! Pictures as OpenCV's matrices, and its number of threads.
+//! Images as OpenCV's matrices, and OpenCV's number of threads.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -7,12 +7,12 @@ use opencv::core::{self, CV_8UC1, CV_8UC3, Mat, UMat};
 use opencv::prelude::*;
 use panoscope_node::{NodeError, Result, View, ViewMut};
 
-/// An OpenCV error as a node's error.
+/// Converts an OpenCV error to a node error.
 pub fn failed(error: opencv::Error) -> NodeError {
     NodeError::new(format!("OpenCV: {}", error.message))
 }
 
-/// An 8-bit picture of one or three channels as a matrix over the same bytes: nothing is copied.
+/// Wraps an 8-bit image of one or three channels as a matrix over the same bytes: nothing is copied.
 pub fn borrowed(view: View<'_, u8>) -> opencv::Result<BoxedRef<'_, Mat>> {
     let kind = if view.channels == 1 { CV_8UC1 } else { CV_8UC3 };
     let (rows, columns) = (view.height as i32, view.width as i32);
@@ -23,12 +23,12 @@ pub fn borrowed(view: View<'_, u8>) -> opencv::Result<BoxedRef<'_, Mat>> {
     Ok(mat.into())
 }
 
-/// Writes an 8-bit matrix of the same size and channels.
+/// Copies an 8-bit matrix into a view of the same size and channels.
 pub fn write(mat: &Mat, out: &mut ViewMut<'_, u8>) -> Result<()> {
     let row = out.width * out.channels;
     let bytes = mat.data_bytes().map_err(failed)?;
     if bytes.len() != row * out.height {
-        return Err(NodeError::new(format!("OpenCV made {} bytes, {} were expected", bytes.len(), row * out.height)));
+        return Err(NodeError::new(format!("OpenCV returned {} bytes instead of {}", bytes.len(), row * out.height)));
     }
     for (y, source) in bytes.chunks_exact(row.max(1)).enumerate() {
         out.row_mut(y).copy_from_slice(source);
@@ -36,23 +36,23 @@ pub fn write(mat: &Mat, out: &mut ViewMut<'_, u8>) -> Result<()> {
     Ok(())
 }
 
-/// The matrix as a UMat, which OpenCV's stitching classes take.
+/// Converts a matrix to a UMat, which OpenCV's stitching classes take.
 pub fn umat(mat: &Mat) -> opencv::Result<UMat> {
     let mut out = UMat::new_def();
     mat.copy_to(&mut out)?;
     Ok(out)
 }
 
-/// A UMat's contents as a matrix.
+/// Converts a UMat to a matrix.
 pub fn from_umat(umat: &UMat) -> opencv::Result<Mat> {
     let mut out = Mat::default();
     umat.copy_to(&mut out)?;
     Ok(out)
 }
 
-/// OpenCV's number of threads, which holds for the whole process.
+/// OpenCV's number of threads, which applies to the whole process.
 ///
-/// Setting it ends OpenCV's threads, and the next loop starts new ones, too late to take a fair share of it. The number is therefore constant from
+/// Changing it ends OpenCV's threads, and the next loop starts new ones, too late to take a fair share of it. The number is therefore constant from
 /// frame to frame, and restored when the last holder is dropped.
 pub struct Threads(());
 
@@ -83,7 +83,7 @@ impl Threads {
         Ok(Self(()))
     }
 
-    /// Sets the number of threads, until another holder sets another one.
+    /// Sets the number of threads until another holder sets it.
     pub fn set(&self, threads: u32) -> Result<()> {
         let mut held = held();
         if held.set != Some(threads) {

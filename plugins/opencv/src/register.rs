@@ -17,31 +17,31 @@ pub struct RegisterParams {
     /// Kind of features.
     #[param(default = "sift")]
     detector: Detector,
-    /// Largest number of keypoints per view, strongest first; 0 uses OpenCV's default.
+    /// Maximum number of keypoints per view, strongest first; 0 uses OpenCV's default.
     #[param(default = 0, range = 0..=100_000, unit = "points")]
     max_points: u32,
     /// Threshold of the detector; 0 uses OpenCV's default (0.04, 0.001, 20).
     #[param(default = 0.0, range = 0.0..=1000.0)]
     threshold: f64,
-    /// Size to which larger views are shrunk for the search, in million pixels; 0 searches at full resolution. OpenCV's stitcher takes 0.6.
+    /// Size to which larger views are reduced for the search, in megapixels; 0 searches at full resolution. OpenCV's stitcher uses 0.6.
     #[param(default = 0.0, range = 0.0..=10.0, step = 0.05)]
     work_megapixels: f64,
-    /// Largest ratio of the best to the second-best distance of a match.
+    /// Maximum ratio of the best to the second-best distance of a match.
     #[param(default = 0.75, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
-    /// Keeps a match only when each point is the other's best; matches in both directions, which takes twice as long.
+    /// Keeps a match only when each point is the other's best. Matches in both directions, which takes twice as long.
     #[param(default = true)]
     mutual: bool,
-    /// Largest reprojection error of an inlier.
+    /// Maximum reprojection error of an inlier.
     #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Smallest number of inliers of a registration.
+    /// Minimum number of inliers of a registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
-    /// A homography whose inliers are further off than this (root mean square) is not used: the state is lost. 0 uses all.
+    /// Maximum root mean square error of the inliers. A worse homography is not used: the state is lost. 0 uses all.
     #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
     max_rms_px: f64,
-    /// Number of OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads. Applies to the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -49,7 +49,7 @@ pub struct RegisterParams {
 /// Inputs of the registration.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view; its pixels are the ones that the homography maps to.
+    /// Left view; the homography maps to its pixels.
     left: Image<'f, Gray8>,
     /// Right view of the same instant.
     right: Image<'f, Gray8>,
@@ -62,19 +62,19 @@ pub struct Out<'f> {
     homography: Slot<'f, Homography>,
 }
 
-/// See the module.
+/// The `register_opencv` node.
 pub struct RegisterOpencv {
     last: [f64; 9],
     watch: RmsWatch,
     threads: Threads,
 }
 
-/// Factor, at most 1, that shrinks `pixels` to so many million; 0 million leaves them.
+/// Factor, at most 1, that reduces `pixels` to this many megapixels; 0 megapixels means no reduction.
 pub fn shrink(megapixels: f64, pixels: usize) -> f64 {
     if megapixels > 0.0 { (megapixels * 1e6 / pixels.max(1) as f64).sqrt().min(1.0) } else { 1.0 }
 }
 
-/// Finds features of a view shrunk to `work_megapixels`, and gives their places in pixels of the whole view.
+/// Finds features of a view reduced to `work_megapixels`. Returns positions in pixels of the full view.
 fn find(view: View<'_, u8>, params: &RegisterParams) -> opencv::Result<(FoundFeatures, Vec<[f64; 2]>)> {
     let whole = borrowed(view)?;
     let scale = shrink(params.work_megapixels, view.width * view.height);

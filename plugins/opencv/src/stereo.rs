@@ -1,5 +1,5 @@
-//! `stereo_opencv`, `disparity_wls_opencv`, `disparity_fbs_opencv`: OpenCV's four steps behind the ports of ours, so that
-//! a graph can swap one for the other (thesis, fig. 3.7 and table 3.2).
+//! `stereo_opencv`, `disparity_wls_opencv`, `disparity_fbs_opencv`: OpenCV's four steps behind the ports of our nodes, so that a graph can swap one
+//! for the other (thesis, fig. 3.7 and table 3.2).
 
 use opencv::calib3d::{StereoBM, StereoMatcher, StereoSGBM};
 use opencv::core::{CV_16SC1, CV_32FC1, Mat, Ptr, Rect};
@@ -13,10 +13,10 @@ use panoscope_node::{
 
 use crate::mats::{Threads, borrowed, failed};
 
-/// OpenCV's disparities count sixteenths.
+/// Units of OpenCV's fixed-point disparities per px.
 const STEPS_PER_PX: f32 = 16.0;
 
-/// Which matcher.
+/// Matching algorithm.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 pub enum Method {
     /// Block matching.
@@ -25,7 +25,7 @@ pub enum Method {
     Sgbm,
 }
 
-/// What is searched; the filter must know it too.
+/// The disparities that are searched; the filter must know them too.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Search {
     method: Method,
@@ -74,18 +74,18 @@ impl Search {
     }
 }
 
-/// OpenCV's block matching takes no window below this, px.
+/// Minimum window that OpenCV's block matching accepts, px.
 const MIN_BM_BLOCK_PX: i32 = 5;
 
 /// Reports a window that the matcher refuses.
 fn check_window(check: &mut Validation<'_>, method: Method, block_px: i32) {
     if method == Method::Bm && block_px < MIN_BM_BLOCK_PX {
-        let message = format!("`block_px` is {block_px}, OpenCV's block matching takes at least {MIN_BM_BLOCK_PX}");
-        check.error("block_px", message, "take a larger window, or method = \"sgbm\"");
+        let message = format!("`block_px` is {block_px}, but OpenCV's block matching needs at least {MIN_BM_BLOCK_PX}");
+        check.error("block_px", message, "set a larger window, or method = \"sgbm\"");
     }
 }
 
-/// Writes sixteenths as px; what is below `least` is unknown.
+/// Converts OpenCV's disparities to px; values below `min_px` are unknown (NaN).
 fn write(mat: &Mat, sign: f32, min_px: f32, out: &mut ViewMut<'_, f32>) -> Result<()> {
     let values = mat.data_typed::<i16>().map_err(failed)?;
     for (y, row) in values.chunks_exact(out.width.max(1)).enumerate() {
@@ -97,7 +97,7 @@ fn write(mat: &Mat, sign: f32, min_px: f32, out: &mut ViewMut<'_, f32>) -> Resul
     Ok(())
 }
 
-/// Sixteenths of a map, `unknown` where it is NaN.
+/// Converts a map in px to OpenCV's disparities, with `unknown` where it is NaN.
 fn sixteenths(view: View<'_, f32>, sign: f32, unknown: i16) -> opencv::Result<Mat> {
     // Added to a number below 2^22 it leaves the nearest integer in the low bits: one addition instead of a call per pixel.
     const ROUND: f32 = 12_582_912.0;
@@ -116,13 +116,13 @@ fn sixteenths(view: View<'_, f32>, sign: f32, unknown: i16) -> opencv::Result<Ma
 /// Parameters of the matcher.
 #[derive(Params, Clone, PartialEq)]
 pub struct StereoParams {
-    /// Which matcher.
+    /// Matching algorithm.
     #[param(default = "bm")]
     method: Method,
-    /// Find the offset of the search from the region that the views share.
+    /// Finds the offset of the search from the region that both views share.
     #[param(default = true)]
     auto_offset: bool,
-    /// Smallest disparity searched when the offset is not found from the pictures.
+    /// Minimum disparity searched when the offset is not found from the images.
     #[param(default = 0, range = -1024..=1500, unit = "px")]
     min_disparity_px: i32,
     /// Width of the disparity search.
@@ -131,11 +131,11 @@ pub struct StereoParams {
     /// Side of the window: at least 5 for block matching.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
     block_px: i32,
-    /// Block matching's tests of texture and uniqueness. OpenCV's sample `disparity_filtering` switches them off in front of `disparity_wls_opencv`,
+    /// Checks of texture and uniqueness by block matching. OpenCV's sample `disparity_filtering` disables them in front of `disparity_wls_opencv`,
     /// which evaluates the matches itself.
     #[param(default = true)]
     own_checks: bool,
-    /// Number of OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads. Applies to the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -154,11 +154,11 @@ pub struct StereoIn<'f> {
 pub struct StereoOut<'f> {
     /// Pixels of the left rectified view; NaN where unmatched.
     disparity: Slot<'f, Disparity>,
-    /// The same from the right view's pixels, positive.
+    /// The same for the right view's pixels, positive.
     disparity_right: Slot<'f, Disparity>,
 }
 
-/// Both matchers, kept from frame to frame.
+/// Both matchers; their memory is reused from frame to frame.
 pub struct StereoOpencv {
     search: stereo::Search,
     kept: Option<(Search, Ptr<StereoMatcher>, Ptr<StereoMatcher>)>,
@@ -193,7 +193,10 @@ impl Node for StereoOpencv {
         let (left, right) = (input.left.view(), input.right.view());
         let (width, height) = (left.width, left.height);
         if (right.width, right.height) != (width, height) {
-            return Err(error!("the left view is {width}x{height}, the right one {}x{}", right.width, right.height));
+            return Err(error!(
+                "the left view is {width}x{height}, but the right one is {}x{}: connect views of one size",
+                right.width, right.height
+            ));
         }
         let place = SearchParams {
             auto_offset: params.auto_offset,
@@ -266,17 +269,17 @@ pub struct WlsIn<'f> {
 pub struct FilterOut<'f> {
     /// The smoothed map, px.
     disparity: Slot<'f, Disparity>,
-    /// Confidence, 0 to 1; not made by `disparity_fbs_opencv`.
+    /// Confidence, 0 to 1; empty for `disparity_fbs_opencv`.
     confidence: Slot<'f, Confidence>,
 }
 
-/// Parameters of the weighted-least-squares filter: of the matcher in front, and its own.
+/// Parameters of the weighted-least-squares filter and of the matcher in front of it.
 #[derive(Params, Clone, PartialEq)]
 pub struct WlsParams {
-    /// Matcher in front of this filter.
+    /// Algorithm of the matcher in front of this filter.
     #[param(default = "bm", reopen)]
     method: Method,
-    /// Smallest disparity that the matcher in front searches.
+    /// Minimum disparity that the matcher in front searches.
     #[param(default = 0, range = -1024..=1500, unit = "px", reopen)]
     min_disparity_px: i32,
     /// Number of disparities that the matcher in front searches.
@@ -288,10 +291,11 @@ pub struct WlsParams {
     /// Strength of the smoothing.
     #[param(default = 8000.0, range = 0.0..=1000000.0)]
     lambda: f64,
-    /// Sensitivity to edges of the picture.
+    /// Sensitivity to edges of the image.
     #[param(default = 1.5, range = 0.1..=100.0)]
     sigma_color: f64,
-    /// Number of OpenCV's threads, for the whole process while this node is open. The filter divides its rows among this number when it is created.
+    /// Number of OpenCV's threads. Applies to the whole process while this node is open. The filter divides its rows among this number when it is
+    /// created.
     #[param(default = 1, range = 1..=64, reopen)]
     threads: u32,
 }
@@ -304,14 +308,14 @@ pub struct DisparityWlsOpencv {
     known: Vec<f32>,
 }
 
-/// Every so many columns and rows are looked at to find where a map's disparities lie.
+/// Step in columns and rows when a map is sampled for its range of disparities.
 const LOOK_STEP: usize = 4;
 /// Offsets are multiples of this.
 const OFFSET_STEP_PX: f32 = 8.0;
 
 impl DisparityWlsOpencv {
-    /// Follows the offset of the matcher in front, which may have found it from the pictures: where the search asked for holds less than
-    /// half of the map's disparities, one of the same width around them is taken.
+    /// Follows the offset of the matcher in front, which may have found it from the images. If the requested search range contains less than half of
+    /// the map's disparities, a range of the same width around them is used.
     fn follow(&mut self, map: View<'_, f32>) -> opencv::Result<()> {
         self.known.clear();
         for y in (0..map.height).step_by(LOOK_STEP) {
@@ -336,9 +340,10 @@ unsafe impl Send for DisparityWlsOpencv {}
 
 fn one_size(sizes: &[(usize, usize)]) -> Result<()> {
     match sizes.iter().find(|size| **size != sizes[0]) {
-        Some(other) => {
-            Err(error!("inputs of {}x{} and {}x{}: one size is needed", sizes[0].0, sizes[0].1, other.0, other.1))
-        }
+        Some(other) => Err(error!(
+            "the inputs are {}x{} and {}x{}: connect inputs of one size",
+            sizes[0].0, sizes[0].1, other.0, other.1
+        )),
         None => Ok(()),
     }
 }
@@ -427,7 +432,7 @@ pub struct FbsOut<'f> {
     disparity: Slot<'f, Disparity>,
 }
 
-/// Parameters of the fast bilateral solver, OpenCV's sample's defaults.
+/// Parameters of the fast bilateral solver; the defaults are those of OpenCV's sample.
 #[derive(Params, Clone, PartialEq)]
 pub struct FbsParams {
     /// Side of a grid cell.

@@ -12,7 +12,7 @@ const FOCAL_PX: f64 = 420.0;
 const BASELINE_MM: f64 = 20.0;
 const SQUARE_MM: f64 = 10.0;
 
-/// A board's pose: rotation about x, y, z in radians, and its middle in the left camera, mm.
+/// A board's pose: rotation about x, y, z in radians, and its centre in the left camera's frame, mm.
 type Pose = ([f64; 3], [f64; 3]);
 
 const POSES: [Pose; 8] = [
@@ -40,7 +40,7 @@ fn draw(pose: Pose, x_mm: f64) -> Vec<u8> {
     draw_through(&|u, v| [(u - 199.5) / FOCAL_PX, (v - 149.5) / FOCAL_PX], pose, x_mm)
 }
 
-/// As [`draw`]; `ray` has x and y, at depth 1, of the ray of a pixel.
+/// As [`draw`]; `ray` gives x and y, at depth 1, of the ray of a pixel.
 fn draw_through(ray: &dyn Fn(f64, f64) -> [f64; 2], (turn, middle): Pose, x_mm: f64) -> Vec<u8> {
     let r = rotation(turn);
     let normal = [r[0][2], r[1][2], r[2][2]];

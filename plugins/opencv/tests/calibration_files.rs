@@ -1,4 +1,4 @@
-//! Calibration files and OpenCV's own `FileStorage`: what one writes the other reads, bit by bit.
+//! Calibration files and OpenCV's `FileStorage`: each reads what the other writes, bit by bit.
 
 use std::path::{Path, PathBuf};
 

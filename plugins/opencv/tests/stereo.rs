@@ -14,7 +14,7 @@ fn noise(x: usize, y: usize) -> u8 {
     (h >> 24) as u8
 }
 
-/// Two upright planes: the left half of the left view lies far away, the right half near.
+/// Two upright planes: the left half of the left view is far away, the right half near.
 fn pair() -> (Vec<u8>, Vec<u8>) {
     let (width, height) = SIZE;
     let (mut left, mut right) = (vec![0; width * height], vec![0; width * height]);

@@ -1,5 +1,5 @@
-//! OpenCV's registration and stitching behind our ports do the work of a plain program (`reference.cpp`): the same homography, the same
-//! canvas, the same picture. Whatever makes the nodes faster must leave that as it is.
+//! OpenCV's registration and stitching behind our ports give the result of a plain program (`reference.cpp`): the same homography, the same canvas,
+//! the same image. Optimizations of the nodes must not change it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,9 +14,9 @@ use panoscope_opencv::{CompositeOpencv, RegisterOpencv};
 const SIZE: (usize, usize) = (320, 240);
 /// Maps right-view pixels to left-view pixels.
 const TRUE_MAP: Map = Map([0.99, -0.02, 130.0, 0.015, 1.01, -4.0, 1e-5, -2e-5, 1.0]);
-/// The right view is that much darker.
+/// Brightness of the right view relative to the left one.
 const RIGHT_GAIN: f64 = 0.85;
-/// Something in front of the plane: centre and radius in the left view, and how far off it lies in the right one.
+/// A disc in front of the plane: centre and radius in the left view, and its offset in the right one, px.
 const DISC: ([f64; 2], f64, f64) = ([225.0, 120.0], 24.0, 14.0);
 /// `composite_opencv`'s default.
 const MARGIN_PX: i32 = 16;
@@ -68,10 +68,10 @@ fn swapped(pixels: &[u8]) -> Vec<u8> {
     pixels.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect()
 }
 
-/// What the plain program made.
+/// Output of the plain program.
 struct Reference {
     map: [f64; 9],
-    /// Where the left view lies.
+    /// Position of the left view on the canvas.
     corner: (i32, i32),
     size: (usize, usize),
     bgr: Vec<u8>,
@@ -131,7 +131,7 @@ fn reference(views: &[Vec<u8>; 2], megapixels: f64, finder: &str, cost: &str) ->
     Reference { map: line("homography").try_into().unwrap(), corner: (canvas[0] as i32, canvas[1] as i32), size, bgr }
 }
 
-/// Largest distance between what two maps make of the right view's corners, px.
+/// Maximum distance between the images of the right view's corners under two maps, px.
 fn corner_distance(a: &[f64; 9], b: &[f64; 9]) -> f64 {
     let corners = |map: &[f64; 9]| Map(*map).map_corners(SIZE.0, SIZE.1).unwrap();
     corners(a).iter().zip(corners(b)).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f64::max)
@@ -162,7 +162,7 @@ fn the_registration_finds_what_the_plain_program_finds() {
     }
 }
 
-/// Every other band of rows lies 16 px further to the right in the left view: no plane explains both.
+/// Every other band of rows is displaced by 16 px in the left view, so that no plane fits both.
 #[test]
 fn features_that_no_plane_explains_are_lost_and_said() {
     let bands = |shift: i64| -> Vec<u8> {
@@ -190,7 +190,7 @@ fn features_that_no_plane_explains_are_lost_and_said() {
     assert!(node.logs().iter().any(|line| line.message.contains("`max_rms_px` allows 4")), "{:?}", node.logs());
 }
 
-/// Mean difference between the node's picture and the program's where a view reaches, levels; and the same near the disc alone.
+/// Mean difference between the node's image and the program's where a view exists, gray levels; and the same only near the disc.
 fn difference(views: &[Vec<u8>; 2], plain: &Reference, params: &str) -> (f64, f64) {
     let mut node = Harness::<CompositeOpencv>::from_toml(&format!("params = {{ {params} }}")).unwrap();
     let map = Homography { left_from_right: plain.map, rms_px: 0.5, inliers: 100, state: abi::STATE_FRESH };

@@ -1,4 +1,4 @@
-//! OpenCV's number of threads belongs to the process: alone in this file, so that no other test sets it.
+//! OpenCV's number of threads belongs to the process: this test is alone in its file, so that no other test sets it.
 
 use opencv::core::{get_num_threads, set_num_threads};
 use panoscope_node::Gray8;

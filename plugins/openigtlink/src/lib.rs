@@ -1,10 +1,10 @@
-//! Pictures, poses, points and surfaces to and from navigation programs that speak OpenIGTLink, such as 3D Slicer, PLUS and MITK:
-//! `igtl_send` sends, `igtl_receive` receives, each as server or as client.
+//! Exchanges images, poses, points and surfaces with navigation programs that speak OpenIGTLink, such as 3D Slicer, PLUS and MITK. `igtl_send` sends,
+//! `igtl_receive` receives, each as server or as client.
 //!
-//! [`link`] has the connections: nodes with the same role, address and port share one, so that a program that is connected to `igtl_send` can
-//! send to `igtl_receive` on the same connection. Nothing listens and nothing is connected to unless a graph has such a node.
+//! [`link`] has the connections. Nodes with the same role, address and port share one, so that a program that is connected to `igtl_send` can send to
+//! `igtl_receive` on the same connection. Nothing listens or connects unless a graph has such a node.
 //!
-//! Units: mm, in the coordinates of the packet that is sent: those of the left camera are x right, y down, z forward. Names of devices and of
+//! Units: mm, in the coordinates of the packet that is sent; those of the left camera are x right, y down, z forward. Names of devices and of
 //! coordinate frames are parameters; see the documentation of each node.
 
 #![forbid(unsafe_code)]

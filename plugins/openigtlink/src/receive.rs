@@ -1,4 +1,4 @@
-//! `igtl_receive`: what programs that speak OpenIGTLink send, as packets of the graph.
+//! `igtl_receive`: converts messages of programs that speak OpenIGTLink to packets of the graph.
 
 mod packets;
 
@@ -17,41 +17,41 @@ use crate::connection::{Connection, check_name};
 use crate::link::{Filter, Inbox, Link, Received, Role, utc_ns};
 use packets::Packets;
 
-/// Longest wait for a message in one call: an empty tick then shows that the node lives.
+/// Maximum wait for a message in one call: an empty tick then shows that the node is alive.
 const STEP: Duration = Duration::from_millis(100);
-/// In batch mode a server has to be there within this time.
+/// Time limit for a server to appear in batch mode.
 const BATCH_CONNECT_LIMIT: Duration = Duration::from_secs(10);
 
-/// Outputs. Each message is a tick of its own, with the outputs of its type.
+/// Outputs. Each message is a separate tick, with the outputs of its type.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// IMAGE: a picture of one slice. 8 bits with one component are gray8, with three bgr8, with four rgba8; 16 bits gray16; other numbers of one
-    /// component f32. Parts of a picture are put into the one before.
+    /// IMAGE of one slice. 8 bits with one component are gray8, with three bgr8, with four rgba8; 16 bits are gray16; other numbers of one component
+    /// f32. A partial image is merged into the previous one.
     image: Slot<'f, AnyFormat>,
-    /// TRANSFORM that is a rotation and a translation, POSITION with an orientation, the first tool of TDATA.
+    /// TRANSFORM that is a rotation and a translation, POSITION with an orientation, or the first tool of TDATA.
     pose: Slot<'f, Pose>,
-    /// POINT, POSITION, the tools of TDATA, the translation of TRANSFORM: a row per point with its place and its radius in mm.
+    /// POINT, POSITION, the tools of TDATA, or the translation of TRANSFORM: a row per point with position and radius in mm.
     points: Slot<'f, TableData>,
-    /// Names of the rows of `points`, one a line: those of the points or tools, or the device name.
+    /// Names of the rows of `points`, one per line: those of the points or tools, or the device name.
     names: Slot<'f, TextPacket>,
-    /// POLYDATA: its points, in one row, with their colours where it has any.
+    /// POLYDATA: its points, in one row, with their colours if it has any.
     cloud: Slot<'f, PointCloud>,
     /// STRING, and the text of STATUS.
     text: Slot<'f, TextPacket>,
-    /// STATUS: its code; 1 is well.
+    /// Code of STATUS; 1 is OK.
     status: Slot<'f, Scalar>,
 }
 
 /// Where the capture time of a tick comes from.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeFrom {
-    /// The message's timestamp, counted from the first one; its arrival where it has none.
+    /// The message's timestamp, counted from the first one; its arrival if it has no timestamp.
     Sender,
     /// The arrival of the message.
     Arrival,
 }
 
-/// Parameters.
+/// Parameters of `igtl_receive`.
 #[derive(Params)]
 pub struct Settings {
     #[param(flatten)]
@@ -59,34 +59,34 @@ pub struct Settings {
     /// Device name of the messages to take; empty takes those of all devices.
     #[param(default = "", reopen)]
     device: String,
-    /// Frame `a` of the pose, to which it maps. Empty: from a device name such as `ToolToTracker`, the part behind `To`.
+    /// Frame `a` of the pose, to which it maps. Empty: from a device name such as `ToolToTracker`, the part after `To`.
     #[param(default = "")]
     a: String,
     /// Frame `b` of the pose, from which it maps. Empty: from the device name, the part before `To`, or all of it.
     #[param(default = "")]
     b: String,
-    /// Where the capture time of a tick comes from. Capture times never go back.
+    /// Where the capture time of a tick comes from. Capture times never decrease.
     #[param(default = "sender")]
     time_from: TimeFrom,
-    /// The sender's clock and this machine's are kept together (NTP or PTP), to within the ages that matter: ages count from the timestamp of a
-    /// message. Off: ages count from its arrival here, and what the way took is unknown.
+    /// Whether the sender's clock and this machine's are synchronised (NTP or PTP) to better than the ages that matter. On: ages count from a
+    /// message's timestamp. Off: ages count from its arrival here, and the transmission time is unknown.
     #[param(default = false)]
     clocks_agree: bool,
 }
 
-/// Gives each message as a tick, in the order of arrival.
+/// Emits each message as a tick, in the order of arrival.
 ///
-/// **Time.** The capture time is the message's timestamp, counted from the first one of this run; in live mode from the message that was quickest on its
-/// way, so that no tick is held back. The arrival, from which ages count, is the moment
-/// at which the last byte was read; with `clocks_agree` it is the message's timestamp.
+/// **Time.** The capture time is the message's timestamp, counted from the first one of this run; in live mode from the message with the shortest
+/// transmission time, so that no tick is held back. The arrival, from which ages count, is the moment at which the last byte was received; with
+/// `clocks_agree` it is the message's timestamp.
 pub struct Receive {
     link: Arc<Link>,
     inbox: Arc<Inbox>,
     packets: Packets,
     opened: Instant,
-    /// Timestamp and capture time that capture times count from.
+    /// Timestamp and capture time from which capture times count.
     from: Option<(i128, i64)>,
-    /// When the first message of a live run was taken, and its capture time.
+    /// Time and capture time of the first message of a live run.
     begun: Option<(Instant, i64)>,
     capture_ns: i64,
     has_warned: bool,
@@ -101,7 +101,7 @@ impl Drop for Receive {
 }
 
 impl Out<'_> {
-    /// Message types that some output shows, as [`Inbox::set_wanted`] takes them.
+    /// Message types that a connected output needs, as [`Inbox::set_wanted`] takes them.
     fn wanted(&self) -> usize {
         let places = self.points.is_read() || self.names.is_read();
         let mut bits = 0;
@@ -154,10 +154,10 @@ impl Receive {
         }
     }
 
-    /// An empty tick, or the end of the source in batch mode.
+    /// Makes an empty tick, or ends the source in batch mode.
     ///
     /// # Errors
-    /// In batch mode a server that is not there.
+    /// In batch mode: the server is missing.
     fn idle(&mut self, cx: &Context<'_>, params: &Settings) -> Result<()> {
         if cx.is_batch() && self.link.has_ended() {
             // What arrived before the end was taken before.
@@ -168,7 +168,7 @@ impl Receive {
         if cx.is_batch() && is_missing && self.opened.elapsed() > BATCH_CONNECT_LIMIT {
             let (at, limit_s) = (self.link.words(), BATCH_CONNECT_LIMIT.as_secs());
             return Err(NodeError::ended_early(format!(
-                "nobody answered at {at} within {limit_s} s: start the server first"
+                "no server answered at {at} within {limit_s} s: start the server first"
             )));
         }
         // By the clock: time goes on.
@@ -184,12 +184,12 @@ impl Receive {
         Ok(())
     }
 
-    /// One warning about content that is not passed on; all of it is counted.
+    /// Warns once of content that is not passed on; all of it is counted.
     fn refuse(&mut self, cx: &Context<'_>, received: &Received, words: &str) {
         self.refused += 1;
         if !std::mem::replace(&mut self.has_warned, true) {
             let Received { kind, device, .. } = received;
-            cx.warn(&format!("{kind} of `{device}` was not passed on: {words}; further ones are counted only"));
+            cx.warn(&format!("{kind} of `{device}` was dropped: {words}; further ones are only counted"));
         }
     }
 
@@ -216,7 +216,7 @@ impl Node for Receive {
     const INFO: NodeInfo = NodeInfo::blocking(
         "igtl_receive",
         "source",
-        "Receives pictures, poses, points, surfaces and texts from programs that speak OpenIGTLink.",
+        "Receives images, poses, points, surfaces and texts from programs that speak OpenIGTLink.",
     )
     .source();
     type In<'f> = NoPorts;

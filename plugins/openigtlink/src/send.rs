@@ -18,25 +18,25 @@ use panoscope_node::{
 use crate::connection::{Connection, check_name};
 use crate::link::{Link, Outgoing, utc_ns};
 
-/// Longest wait for queued messages when the graph ends.
+/// Time limit for sending queued messages when the graph ends.
 const DRAIN_LIMIT: Duration = Duration::from_secs(2);
-/// Buffers that are used again.
+/// Maximum number of buffers kept for reuse.
 const MAX_SPARES: usize = 16;
 
-/// Inputs: at least one is connected. Each is sent when it has a packet.
+/// Inputs: connect at least one. Each packet is sent when it arrives.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture, as IMAGE: gray8 and gray16 with one component, bgr8 as red, green, blue, rgba8 with four, f32 as floats.
+    /// Image, as IMAGE: gray8 and gray16 with one component, bgr8 as red, green, blue, rgba8 with four, f32 as floats.
     image: Option<AnyImage<'f>>,
-    /// Pose, as `poses_as` says.
+    /// Pose, in the message type that `poses_as` selects.
     pose: Option<Value<'f, Pose>>,
-    /// Tip of a tool in mm, as `poses_as` says; not sent while its place is unknown.
+    /// Tip of a tool in mm, in the message type that `poses_as` selects; not sent while its position is unknown.
     tip: Option<Value<'f, Tip>>,
     /// Surface, as the points of POLYDATA with their colours.
     cloud: Option<Cloud<'f>>,
-    /// Detections, as POINT: the centre of each box in the plane of the picture, with the class as name and half the diagonal as radius.
+    /// Detections, as POINT: the centre of each box in the image plane, with the class as name and half the diagonal as radius.
     detections: Option<Detections<'f>>,
-    /// Text, as STRING; what is longer than 65,535 bytes is cut off.
+    /// Text, as STRING; truncated to 65,535 bytes.
     text: Option<Text<'f>>,
 }
 
@@ -51,19 +51,19 @@ pub enum PosesAs {
     Tracking,
 }
 
-/// Parameters.
+/// Parameters of `igtl_send`.
 #[derive(Params)]
 pub struct Settings {
     #[param(flatten)]
     connection: Connection,
-    /// Header version of the messages. 1 is understood by every program. 2 and 3 add a message number, and as metadata the media time
+    /// Header version of the messages. Every program understands 1. Versions 2 and 3 add a message number and, as metadata, the media time
     /// (`capture_ns`) and the frames of a pose (`a`, `b`).
     #[param(default = 1, range = 1..=3)]
     version: u32,
-    /// Message type of poses and tips. Whatever it is, a program that asks for tracking data (`STT_TDATA`) gets it.
+    /// Message type of poses and tips. A program that asks for tracking data (`STT_TDATA`) gets it whatever this is.
     #[param(default = "transform")]
     poses_as: PosesAs,
-    /// Device name of the picture.
+    /// Device name of the image.
     #[param(default = "Panoscope")]
     image_name: String,
     /// Device name of the pose. Empty: from the names of its frames, `bToa` for a pose that maps coordinates of `b` to those of `a`.
@@ -84,7 +84,7 @@ pub struct Settings {
     /// Device name of the text.
     #[param(default = "Text")]
     text_name: String,
-    /// Side of a pixel of the picture, for programs that place it in space: pixel (0, 0) is at the origin, x goes along columns, y along rows.
+    /// Side of an image pixel, for programs that place it in space: pixel (0, 0) is at the origin, x goes along columns, y along rows.
     #[param(default = 1.0, range = 0.001..=100.0, step = 0.001, unit = "mm")]
     pixel_mm: f64,
     /// Every n-th column and row of a surface is sent.
@@ -106,11 +106,11 @@ impl Settings {
     }
 }
 
-/// Queues messages for every program that is connected. The graph never waits for a program in live mode: each has a queue of its own, and what a
-/// slow one does not take is dropped and counted.
+/// Queues messages for every connected program. In live mode the graph never waits for a program: each has a separate queue, and what a slow one does
+/// not take is dropped and counted.
 ///
-/// **Time.** A message carries the time at which the light behind its packet arrived, as UTC: the system's clock less the age of the packet. In batch
-/// mode it carries the capture time as time since 1970, so that the bytes of two runs are the same.
+/// **Time.** A message carries the time at which the light behind its packet arrived, as UTC: the system's clock minus the age of the packet. In
+/// batch mode it carries the capture time as time since 1970, so that two runs send the same bytes.
 pub struct Send {
     link: Arc<Link>,
     message_id: u32,
@@ -119,7 +119,7 @@ pub struct Send {
     pose_name: (([u8; 16], [u8; 16]), String),
 }
 
-/// What messages of one call have in common.
+/// Data that the messages of one call share.
 #[derive(Clone, Copy)]
 struct Call<'a, 'f> {
     cx: &'a Context<'f>,
@@ -132,13 +132,13 @@ fn frame_name(bytes: &[u8; 16]) -> Cow<'_, str> {
     String::from_utf8_lossy(&bytes[..end])
 }
 
-/// `text`, cut off at `most` bytes.
+/// `text`, truncated to at most `most` bytes.
 fn cut(text: &str, most: usize) -> &str {
     &text[..text.floor_char_boundary(most)]
 }
 
 impl Send {
-    /// A buffer that nobody reads any more, or a new one.
+    /// A buffer that is no longer read, or a new one.
     fn spare(&mut self) -> Arc<Vec<u8>> {
         match self.spares.iter_mut().position(|spare| Arc::get_mut(spare).is_some()) {
             Some(index) => self.spares.swap_remove(index),
@@ -194,7 +194,7 @@ impl Send {
                 let picture = Image::picture(width, height, components, scalar, params.pixel_mm as f32, &pixels)?;
                 self.send(call, &params.image_name, call.cx.age(image), Content::Image(picture), &[], true)
             }
-            None => Err(NodeError::new("the image's format is unknown")),
+            None => Err(NodeError::new("the image has an unknown pixel format")),
         };
         self.pixels = pixels;
         result
@@ -289,7 +289,7 @@ impl Send {
         self.send(call, &params.detections_name, call.cx.age(detections), content, &[], true)
     }
 
-    /// Sends the measured points: the message has no field that could mark those filled in.
+    /// Sends the measured points. Points that were filled in are left out, because the message has no field that could mark them.
     fn send_cloud(&mut self, call: Call<'_, '_>, cloud: &Cloud<'_>, params: &Settings) -> Result<()> {
         let (width, step) = (cloud.width().max(1), params.cloud_step.max(1) as usize);
         let rows = cloud.points().chunks_exact(width).step_by(step);
@@ -321,7 +321,7 @@ impl Send {
     }
 }
 
-/// Copies the pixels as OpenIGTLink has them: rows without padding, red before blue. Returns components and type; `None` for an unknown format.
+/// Converts the pixels to OpenIGTLink's layout: rows without padding, red before blue. Returns components and type; `None` for an unknown format.
 fn pack(image: &AnyImage<'_>, out: &mut Vec<u8>) -> Option<(u8, Scalar)> {
     fn rows<'v, T>(view: &'v View<'v, T>) -> impl Iterator<Item = &'v [T]> {
         (0..view.height).map(|y| view.row(y))
@@ -355,7 +355,7 @@ impl Node for Send {
     const INFO: NodeInfo = NodeInfo::blocking(
         "igtl_send",
         "sink",
-        "Sends pictures, poses, tips, surfaces, detections and texts to programs that speak OpenIGTLink.",
+        "Sends images, poses, tips, surfaces, detections and texts to programs that speak OpenIGTLink.",
     )
     .side_effects();
     type In<'f> = In<'f>;
@@ -423,7 +423,7 @@ impl Node for Send {
         }
         let left = self.link.drain(DRAIN_LIMIT);
         if left > 0 {
-            finish.warn(&format!("{left} messages were not taken within {} s and are lost", DRAIN_LIMIT.as_secs()));
+            finish.warn(&format!("{left} messages were not read within {} s and are lost", DRAIN_LIMIT.as_secs()));
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! The OpenIGTLink library (Debian's libopenigtlink) at the other end, as server and as client.
+//! The OpenIGTLink library (Debian's libopenigtlink) as the peer, as server and as client.
 
 use std::process::Command;
 

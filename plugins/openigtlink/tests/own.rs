@@ -1,4 +1,4 @@
-//! Both nodes at both ends: what arrives, slow and hostile programs, lost connections, requests, mistakes.
+//! Both nodes as peers of each other: what arrives, slow and hostile programs, lost connections, requests, mistakes.
 
 use crate::common;
 use std::io::{Read, Write};
@@ -26,7 +26,7 @@ fn server(params: &str) -> (Harness<Send>, u16) {
     (node, port)
 }
 
-/// A plain connection that speaks the protocol.
+/// A bare connection that speaks the protocol.
 struct Plain {
     stream: TcpStream,
     reader: Reader,
@@ -194,7 +194,7 @@ fn a_client_connects_again_and_goes_on() {
         drop(server);
     }
     let end = Instant::now() + PATIENCE;
-    while !node.logs().iter().any(|line| line.message.contains("closed the connection; connecting again")) {
+    while !node.logs().iter().any(|line| line.message.contains("closed the connection; reconnecting")) {
         assert!(Instant::now() < end, "the loss is reported: {:?}", node.logs());
         faults.extend(node.process().expect("it receives").fault().map(str::to_owned));
     }
@@ -455,7 +455,7 @@ fn problems<N: panoscope_node::Node>(params: &str, connected: &[&str]) -> String
 fn mistakes_are_named_before_anything_is_opened() {
     for (params, words) in [
         ("address = 'localhost'", "is not an IP address to listen on"),
-        ("role = 'client', address = ''", "names no machine"),
+        ("role = 'client', address = ''", "is not the name of a machine"),
         ("role = 'client', address = '10.0.0.1:18944'", ""),
         ("role = 'client', port = 0", "cannot connect to port 0"),
         ("image_name = 'a name of more than 20 bytes'", "a device name has at most 20"),

@@ -1,4 +1,4 @@
-//! pyigtl at the other end, as server and as client.
+//! pyigtl as the peer, as server and as client.
 
 use crate::common::{PIXELS, Peer, fill, free_port, pyigtl_peer, receive_until, receiver, send_until, sender};
 use panoscope_node::Bgr8;

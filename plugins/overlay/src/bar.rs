@@ -1,24 +1,24 @@
-//! Words below a picture: plates on a dark bar, so that nothing is written on tissue.
+//! Text below an image: plates on a dark bar, so that nothing is written on tissue.
 
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{self, Color};
 
-/// Height of a plate in units of the scale of text: capitals, descenders and room above and below.
+/// Height of a plate in units of the text scale: capitals, descenders and padding above and below.
 const PLATE: f32 = 11.0;
-/// Room between plates and around them, in units of the scale of text.
+/// Gap between and around plates, in units of the text scale.
 const GAP: f32 = 1.5;
-/// Room between a plate's edge and its words, in units of the scale of text.
+/// Padding between a plate's edge and its text, in units of the text scale.
 const ROOM: f32 = 2.0;
-/// Distance between two dots of a key, in units of the scale of text.
+/// Distance between two dots of a key, in units of the text scale.
 const DOT_STEP: f32 = 4.0;
-/// Maximum number of dots of a key: more cannot be told apart at a glance.
+/// Maximum number of dots of a key: more cannot be distinguished at a glance.
 pub const MAX_DOTS: usize = 6;
 
 const GROUND: u8 = 16;
 const PLATE_COLOR: Color = [44, 42, 40];
 const INK: Color = [255; 3];
 
-/// What a plate belongs to in the picture: dots in a colour, drawn at the object too.
+/// Links a plate to an object in the image: dots in a colour, which are also drawn at the object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Key {
     /// Colour of the object's marks.
@@ -27,7 +27,7 @@ pub struct Key {
     pub dots: usize,
 }
 
-/// A plate: bytes of the words, and its key.
+/// A plate: byte range of its text, and its key.
 #[derive(Clone, Copy, Debug)]
 struct Entry {
     start: usize,
@@ -35,7 +35,7 @@ struct Entry {
     key: Option<Key>,
 }
 
-/// The words of one picture. Keeps its memory from one picture to the next.
+/// The plates of one image. The memory is reused from image to image.
 #[derive(Clone, Debug, Default)]
 pub struct Bar {
     title: String,
@@ -43,12 +43,12 @@ pub struct Bar {
     entries: Vec<Entry>,
 }
 
-/// Height in px of a bar with `lines` lines of text.
+/// Height of a bar with `lines` lines of text, px.
 pub fn height_px(lines: usize, scale: f32) -> usize {
     (scale * (lines as f32 * (PLATE + GAP) + GAP)).ceil() as usize
 }
 
-/// Draws the dots of a key from `(x, y)`, the middle of the first one, to the right.
+/// Draws the dots of a key to the right of `(x, y)`, the centre of the first one.
 pub fn dots(out: &mut ViewMut<'_, u8>, (x, y): (f32, f32), key: Key, scale: f32) {
     for k in 0..key.dots.min(MAX_DOTS) {
         let x = x + k as f32 * DOT_STEP * scale;
@@ -59,7 +59,7 @@ pub fn dots(out: &mut ViewMut<'_, u8>, (x, y): (f32, f32), key: Key, scale: f32)
 }
 
 impl Bar {
-    /// Empties the bar and gives it a title, which stands first, without a plate. It may be empty.
+    /// Empties the bar and sets its title, which comes first, without a plate. It may be empty.
     pub fn begin(&mut self, title: &str) {
         self.title.clear();
         self.title.push_str(title.trim());
@@ -67,7 +67,7 @@ impl Bar {
         self.entries.clear();
     }
 
-    /// Adds a plate for each line of `words`; empty ones are left out. `key` belongs to the first line.
+    /// Adds a plate for each line of `words`; empty lines are left out. `key` belongs to the first line.
     pub fn add(&mut self, words: &str, key: Option<Key>) {
         let mut key = key;
         for line in words.lines().map(str::trim).filter(|line| !line.is_empty()) {
@@ -77,13 +77,13 @@ impl Bar {
         }
     }
 
-    /// The words of all plates, for tests and logs.
+    /// The text of all plates, for tests and logs.
     pub fn plates(&self) -> impl Iterator<Item = (&str, Option<Key>)> {
         self.entries.iter().map(|entry| (&self.words[entry.start..entry.end], entry.key))
     }
 
-    /// Writes the plates from the upper left on, line by line. A plate wider than the bar is broken at spaces; what finds no room is counted in
-    /// the last line's end.
+    /// Draws the plates from the upper left on, line by line. A plate wider than the bar is broken at spaces; plates without room are counted at the
+    /// end of the last line.
     pub fn draw(&self, out: &mut ViewMut<'_, u8>, lines: usize, scale: f32) {
         (0..out.height).for_each(|y| out.row_mut(y).fill(GROUND));
         let mut pen = Pen { line: 0, start: GAP * scale, x: GAP * scale, scale, lines, width: out.width as f32 };
@@ -101,10 +101,10 @@ impl Bar {
     }
 }
 
-/// Where the next plate goes.
+/// Position of the next plate.
 struct Pen {
     line: usize,
-    /// Where lines begin.
+    /// Where lines begin, px.
     start: f32,
     x: f32,
     scale: f32,
@@ -117,7 +117,7 @@ impl Pen {
         key.map_or(0.0, |key| (key.dots.min(MAX_DOTS) as f32 * DOT_STEP + 1.0) * self.scale)
     }
 
-    /// Width left in the present line, less what the count of `more` plates takes in the last one.
+    /// Width left in the current line, minus the width of the count of `more` plates in the last line.
     fn room(&self, more: usize) -> f32 {
         let is_last = self.line + 1 >= self.lines;
         let kept = if is_last && more > 0 { self.plate_px("+99", None) + GAP * self.scale } else { 0.0 };
@@ -133,7 +133,7 @@ impl Pen {
         self.line < self.lines
     }
 
-    /// Whether the words found room.
+    /// Draws a plate. Returns whether there was room.
     fn place(&mut self, out: &mut ViewMut<'_, u8>, words: &str, key: Option<Key>, more: usize) -> bool {
         if self.line >= self.lines {
             return false;
@@ -172,7 +172,7 @@ impl Pen {
         self.x += width + GAP * s;
     }
 
-    /// Says how many plates are left out.
+    /// Writes how many plates are left out.
     fn count(&mut self, out: &mut ViewMut<'_, u8>, left_out: usize) {
         self.line = self.lines.saturating_sub(1);
         let words = format!("+{left_out}");

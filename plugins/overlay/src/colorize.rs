@@ -1,4 +1,4 @@
-//! `colorize`: a map of numbers as a picture.
+//! `colorize`: shows a map of numbers as an image.
 
 use panoscope_imaging::draw::{self, Colormap, ScaleBar};
 use panoscope_imaging::fit::Fit;
@@ -10,12 +10,12 @@ use panoscope_node::{
 
 use crate::fit::{enlargement, usual_range};
 
-/// Colours of the values.
+/// Colour maps.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Colors {
-    /// Dark blue over green and yellow to dark red.
+    /// Dark blue through green and yellow to dark red.
     Rainbow,
-    /// Dark violet over teal to yellow, even brightness.
+    /// Dark violet through teal to yellow, with uniform brightness.
     Viridian,
     /// Black to white.
     Gray,
@@ -40,63 +40,63 @@ pub struct In<'f> {
     pub depth: Option<Image<'f, Depth>>,
     /// Confidence, 0 to 1.
     pub confidence: Option<Image<'f, Confidence>>,
-    /// Above 0 while the calibration does not fit the views, as a matcher reports: the scale of depths then says near and far instead of mm.
+    /// Above 0 while the calibration does not fit the views, as a matcher reports it. The scale of depths then shows near and far instead of mm.
     pub drifted: Option<Value<'f, Scalar>>,
 }
 
-/// Outputs.
+/// Output ports of `colorize`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The coloured map. Unknown pixels are dark gray; numbers below the range are black, those above it white (in `gray`: blue and red).
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `colorize`.
 #[derive(Params)]
 pub struct Settings {
-    /// Value of the first colour. When `high` is not above it, the range is that of the picture in round numbers; it is held as long as it suits.
+    /// Value of the first colour. When `high` is not greater, the range is that of the image, rounded; it is held as long as it fits.
     #[param(default = 0.0, range = -100000.0..=100000.0)]
     pub low: f32,
     /// Value of the last colour.
     #[param(default = 0.0, range = -100000.0..=100000.0)]
     pub high: f32,
-    /// Colours.
+    /// Colour map.
     #[param(default = "rainbow")]
     pub colors: Colors,
     /// Draws the colour scale with its values.
     #[param(default = true)]
     pub scale_bar: bool,
-    /// Puts the scale in a strip to the right of the map instead of onto it: the picture is wider, and its coordinates stay.
+    /// Puts the scale in a strip to the right of the map instead of on it: the image is wider, and its coordinates do not change.
     #[param(default = false)]
     pub scale_beside: bool,
-    /// Width that a small map with its scale beside it is enlarged to, by the nearest whole factor, so that the text stays sharp on a large screen. 0 keeps
-    /// its size.
+    /// Width to which a small map with its scale next to it is enlarged, by the nearest integer factor, so that the text stays sharp on a large
+    /// screen. 0 keeps its size.
     #[param(default = 0, range = 0..=4096, unit = "px")]
     pub wanted_width: usize,
 }
 
-/// Width of the strip for the scale in units of the scale of its text: the bar, and labels such as `100 mm`.
+/// Width of the strip for the scale in units of its text scale: the bar, and labels such as `100 mm`.
 const STRIP: f32 = 50.0;
-/// Colour of that strip: that of a screen.
+/// Gray level of that strip, as on a screen.
 const GROUND: u8 = 16;
 
-/// A range of whole steps that is held as long as it suits the pictures: the same colour keeps meaning the same number.
+/// A range of rounded steps that is held as long as it fits, so that a colour keeps its meaning from image to image.
 #[derive(Clone, Debug, Default)]
 pub struct AutoRange {
     range: Option<(f32, f32)>,
-    /// Pictures in a row which the range did not suit.
+    /// Number of consecutive images that the range did not fit.
     unsuited: u32,
     work: Vec<f32>,
 }
 
-/// Share of a picture's numbers beyond the range from which on the range changes at once, and from which on it changes when that lasts.
+/// Shares of an image's numbers outside the range: above the first the range changes at once, above the second when that lasts.
 const BEYOND: [f32; 2] = [0.04, 0.015];
-/// Share of the range that numbers fill at least.
+/// Minimum share of the range that the numbers must fill.
 const MIN_FILLED: f32 = 0.45;
-/// Pictures in a row after which a range that does not suit changes.
+/// Number of consecutive images after which a range that does not fit changes.
 const PATIENCE: u32 = 15;
 
-/// The range around `low` and `high` in whole steps of 1, 2 or 5 times a power of ten, with room for small changes.
+/// The range around `low` and `high` in steps of 1, 2 or 5 times a power of ten, with a margin for small changes.
 fn rounded((low, high): (f32, f32)) -> (f32, f32) {
     let span = (high - low).max(1e-3 * high.abs()).max(1e-3);
     let room = 0.06 * span;
@@ -109,7 +109,7 @@ fn rounded((low, high): (f32, f32)) -> (f32, f32) {
 }
 
 impl AutoRange {
-    /// The range for `plane`.
+    /// Updates the range for `plane` and returns it.
     pub fn follow(&mut self, plane: &View<'_, f32>) -> (f32, f32) {
         let step = 1 + plane.width.max(plane.height) / 256;
         if let Some(usual) = usual_range(plane, step, &mut self.work) {
@@ -125,7 +125,7 @@ impl AutoRange {
     }
 }
 
-/// Share of the known numbers outside a range, from every fourth one of every fourth row; none where nothing is known.
+/// Share of the known numbers outside a range, sampled at every fourth number of every fourth row; `None` where nothing is known.
 fn beyond_share(plane: &View<'_, f32>, (low, high): (f32, f32)) -> Option<f64> {
     let (mut known, mut beyond) = (0, 0);
     for y in (0..plane.height).step_by(4) {
@@ -141,7 +141,7 @@ fn beyond_share(plane: &View<'_, f32>, (low, high): (f32, f32)) -> Option<f64> {
 #[derive(Default)]
 pub struct Colorize {
     auto: AutoRange,
-    /// A map in colours, before it is enlarged.
+    /// The coloured map before it is enlarged.
     small: Vec<u8>,
     fit: Fit,
 }
@@ -156,7 +156,10 @@ impl Node for Colorize {
     fn validate(_: &Settings, check: &mut Validation<'_>) {
         let is_connected = |name: &&&str| check.is_connected(name) == Some(true);
         if ["disparity", "depth", "confidence"].iter().filter(is_connected).count() > 1 {
-            check.node_error("it colours one map, and more than one is connected", "give each map a `colorize`");
+            check.node_error(
+                "more than one map is connected, but the node colours one",
+                "use a separate `colorize` node for each map",
+            );
         }
     }
 
@@ -172,7 +175,7 @@ impl Node for Colorize {
         ];
         if maps.iter().flatten().count() > 1 {
             return Err(NodeError::new(
-                "one map at a time: give `disparity`, `depth` and `confidence` a `colorize` each",
+                "more than one map is connected: use a separate `colorize` node for each of `disparity`, `depth` and `confidence`",
             ));
         }
         let is_confidence = maps[2].is_some();

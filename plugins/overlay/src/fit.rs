@@ -1,4 +1,4 @@
-//! Sizes of pictures in cells, and the range of the numbers in a map.
+//! Sizes of images in cells, and the range of the numbers in a map.
 
 use panoscope_node::{AnyImage, Bgr8, Gray8, Rgba8, View};
 
@@ -12,15 +12,15 @@ pub fn fitted_size(from: (usize, usize), cell: (usize, usize)) -> (usize, usize)
     (side(from.0, cell.0), side(from.1, cell.1))
 }
 
-/// Largest factor by which a picture is enlarged before text is written next to it.
+/// Maximum factor by which an image is enlarged before text is written next to it.
 const MAX_ENLARGEMENT: f64 = 4.0;
 
-/// Whole factor by which a picture of a width comes nearest to the wanted one.
+/// Integer factor by which an image's width comes nearest to the wanted one.
 pub fn enlargement(width: usize, wanted_width: usize) -> usize {
     (wanted_width as f64 / width.max(1) as f64).round().clamp(1.0, MAX_ENLARGEMENT) as usize
 }
 
-/// The pixels of an 8-bit picture, whatever its channels.
+/// The pixels of an 8-bit image of any channels.
 pub fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
     if let Some(plane) = image.as_plane::<Bgr8>() {
         return Some(plane.view());
@@ -31,8 +31,8 @@ pub fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
     image.as_plane::<Rgba8>().map(|plane| plane.view())
 }
 
-/// The 2 % and 98 % quantiles of the finite values of `plane`, from every `step`-th value in both directions. `work` is reused. `None` when no value
-/// is finite.
+/// The 2 % and 98 % quantiles of the finite values of `plane`, sampled at every `step`-th value in both directions. `work` is reused. `None` when no
+/// value is finite.
 pub fn usual_range(plane: &View<'_, f32>, step: usize, work: &mut Vec<f32>) -> Option<(f32, f32)> {
     work.clear();
     for y in (0..plane.height).step_by(step.max(1)) {

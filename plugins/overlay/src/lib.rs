@@ -1,7 +1,7 @@
 //! Drawing on images.
 //!
-//! `overlay` draws what other nodes found onto their picture, `colorize` makes a picture of a map of numbers, `side_by_side`
-//! puts several pictures into one, `screen` one large picture and smaller ones, `turntable` shows a point cloud from all sides.
+//! `overlay` draws the results of other nodes on their image, `colorize` shows a map of numbers as an image, `side_by_side` combines several images
+//! into one, `screen` one large image and smaller ones, `turntable` shows a point cloud from all sides.
 
 #![forbid(unsafe_code)]
 

@@ -1,4 +1,4 @@
-//! What each packet looks like on a picture.
+//! Draws each kind of packet on an image.
 
 use std::fmt::Write;
 
@@ -8,44 +8,44 @@ use panoscope_node::{Choice, Detections, Instances, ViewMut};
 
 use crate::bar::{self, Bar, Key, MAX_DOTS};
 
-/// Where words stand.
+/// Where text is written.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Words {
-    /// On the picture: beside what they belong to, and in a corner.
+    /// On the image: next to the object it belongs to, and in a corner.
     Picture,
-    /// On plates in a bar below the picture, which keeps its coordinates; dots in the object's colour say which box a plate belongs to. Marks and
-    /// words grow with the picture's width: sizes are those at 640 px.
+    /// On plates in a bar below the image, which keeps its coordinates; dots in the object's colour say which box a plate belongs to. Marks and text
+    /// grow with the image's width: sizes are those at 640 px.
     Below,
     /// Nowhere.
     Nowhere,
 }
 
-/// How marks are drawn.
+/// Style of the marks.
 #[derive(Clone, Copy, Debug)]
 pub struct Pen {
     /// Width of lines in px.
     pub line_px: f32,
-    /// Size of text: capital letters are six times as many px high.
+    /// Scale of text: capital letters are six times as many px high.
     pub text_scale: f32,
     /// Added to every coordinate in px.
     pub offset: (f32, f32),
     /// Opacity of masks, 0 to 1.
     pub alpha: f32,
-    /// Lowest score of boxes and masks that are drawn.
+    /// Minimum score of boxes and masks that are drawn.
     pub min_score: f32,
-    /// Where words stand.
+    /// Where text is written.
     pub words: Words,
 }
 
-/// Name of the class of an instrument whose kind a detector does not know.
+/// Class name of an instrument whose kind a detector does not know.
 const UNKNOWN: &str = "unknown";
 
-/// Colour of a box of a class: gray where the kind is unknown.
+/// Colour of a box of a class; gray where the kind is unknown.
 fn color_of_class(detections: &Detections<'_>, class_index: u32) -> Color {
     if detections.label(class_index) == UNKNOWN { [190; 3] } else { color_of(u64::from(class_index)) }
 }
 
-/// Colour of class or track `index`; neighbours differ clearly.
+/// Colour of class or track `index`; consecutive indices differ clearly.
 pub fn color_of(index: u64) -> Color {
     const COLORS: [Color; 8] = [
         [80, 200, 60],
@@ -61,7 +61,7 @@ pub fn color_of(index: u64) -> Color {
 }
 
 impl Pen {
-    /// Distance between letters and the edge of their area, px; contains their dark outline.
+    /// Distance between letters and the edge of their area, px; includes their dark outline.
     pub fn margin_px(&self) -> f32 {
         1.0 + 2.0 * self.text_scale
     }
@@ -83,7 +83,7 @@ impl Pen {
     }
 }
 
-/// Rectangles.
+/// Draws the rectangles of detections.
 pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) {
     for item in detections.items().iter().filter(|item| item.score >= pen.min_score) {
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
@@ -92,19 +92,19 @@ pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) 
     }
 }
 
-/// Name of a class; empty if it has none, or one that the font cannot draw.
+/// Name of a class; empty if it has none, or if the font cannot draw it.
 fn drawable_label<'f>(detections: &Detections<'f>, class_index: u32) -> &'f str {
     let label = detections.label(class_index);
     if draw::is_drawable(label) { label } else { "" }
 }
 
-/// A name among those of the items that the font cannot draw.
+/// The first class name among the items that the font cannot draw.
 pub fn undrawable_label<'f>(detections: &Detections<'f>) -> Option<&'f str> {
     let mut labels = detections.items().iter().map(|item| detections.label(item.class_index));
     labels.find(|label| !draw::is_drawable(label))
 }
 
-/// Class, score and track number of each rectangle, where `labels` has space; a label without space is skipped.
+/// Writes class, score and track number of each rectangle where `labels` has space; a label without space is skipped.
 pub fn box_labels(
     out: &mut ViewMut<'_, u8>,
     detections: &Detections<'_>,
@@ -132,8 +132,8 @@ pub fn box_labels(
     }
 }
 
-/// Dots in the upper left corner of each rectangle, and a plate with the same dots, class and score in the bar. The order is that of the track
-/// numbers, so that dots and plates stay with an instrument while others come and go behind it.
+/// Draws dots in the upper left corner of each rectangle, and adds a plate with the same dots, class and score to the bar. The order is that of the
+/// track numbers, so that an instrument keeps its dots and plate while others come and go.
 pub fn box_keys(
     out: &mut ViewMut<'_, u8>,
     detections: &Detections<'_>,
@@ -164,7 +164,7 @@ pub fn box_keys(
     }
 }
 
-/// Coloured masks. Mask bits outside the picture are ignored.
+/// Draws coloured masks. Mask bits outside the image are ignored.
 pub fn masks(out: &mut ViewMut<'_, u8>, instances: &Instances<'_>, pen: &Pen) {
     let detections = instances.detections();
     let (width, height) = detections.image_size();
@@ -201,20 +201,20 @@ pub fn masks(out: &mut ViewMut<'_, u8>, instances: &Instances<'_>, pen: &Pen) {
     }
 }
 
-/// Position of a tip in the picture, px; `None` when it is unknown.
+/// Position of a tip in the image, px; `None` when it is unknown.
 fn tip_px(tip: &Tip, pen: &Pen) -> Option<(f32, f32)> {
     let (x, y) = (tip.u_px as f32 + pen.offset.0, tip.v_px as f32 + pen.offset.1);
     (x.is_finite() && y.is_finite()).then_some((x, y))
 }
 
-/// The area that a tip's cross takes.
+/// The area of a tip's cross, px; `None` when the tip is unknown.
 pub fn tip_area(tip: &Tip, pen: &Pen) -> Option<Area> {
     let (x, y) = tip_px(tip, pen)?;
     let reach = pen.reach_px() + pen.line_px;
     Some(Area { x: x - reach, y: y - reach, width: 2.0 * reach, height: 2.0 * reach })
 }
 
-/// A cross, and its position in mm beside it where `labels` has space.
+/// Draws a cross, with its position in mm next to it where `labels` has space.
 pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, labels: &mut Labels) {
     let Some((x, y)) = tip_px(tip, pen) else { return };
     let color = [60, 220, 255];
@@ -238,13 +238,13 @@ pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, 
     }
 }
 
-/// A rectangle, px.
+/// Draws a rectangle.
 pub fn roi(out: &mut ViewMut<'_, u8>, roi: &Roi, pen: &Pen) {
     let (x, y) = (roi.x as f32 + pen.offset.0, roi.y as f32 + pen.offset.1);
     draw::rectangle(out, x, y, roi.width as f32, roi.height as f32, pen.line_px, [255, 200, 0]);
 }
 
-/// The outline of the right view of `size` (width, height in px): green when fresh, yellow when held; nothing when lost.
+/// Draws the outline of the right view of `size` (width, height in px): green when fresh, yellow when held; nothing when lost.
 pub fn registration(out: &mut ViewMut<'_, u8>, value: &Homography, size: (f32, f32), pen: &Pen) {
     let color = match value.state {
         abi::STATE_FRESH => [80, 220, 80],
@@ -266,7 +266,7 @@ pub fn registration(out: &mut ViewMut<'_, u8>, value: &Homography, size: (f32, f
     draw::polygon(out, &corners, pen.line_px, color);
 }
 
-/// The state of the registration as text, with its numbers if wanted; without them one that is fresh says nothing.
+/// State of the registration as text, with its numbers if wanted; empty for a fresh one without numbers.
 pub fn registration_words(value: &Homography, with_numbers: bool, words: &mut String) {
     let state = match value.state {
         abi::STATE_FRESH => "registered",

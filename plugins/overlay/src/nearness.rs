@@ -1,4 +1,4 @@
-//! Distances of tips on a picture: a ring around each tip, a line to what it is nearest to, and how far that is.
+//! Distances of tips on an image: a ring around each tip, a line to what it is nearest to, and that distance.
 
 use std::fmt::Write;
 
@@ -18,8 +18,8 @@ const UNKNOWN: Color = [170, 170, 170];
 const COLUMNS: [&str; 8] =
     ["u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
 
-/// Draws a row per tip; nothing of a table without these columns. Words go to the bar where the pen says so, with the error that a column
-/// `tissue_error_mm` holds.
+/// Draws each tip of the table; nothing if the table lacks these columns. Text goes to the bar where the pen says so, with the error from a column
+/// `tissue_error_mm`.
 pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut String, bar: &mut Bar) {
     let mut places = [0; COLUMNS.len()];
     for (place, name) in places.iter_mut().zip(COLUMNS) {
@@ -76,7 +76,7 @@ pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut
     }
 }
 
-/// The plate of a tip: how far tissue is, and another tip where it is near.
+/// Adds the plate of a tip: distance to the tissue, and another tip if it is near.
 fn plate(
     bar: &mut Bar,
     row: &[f64],

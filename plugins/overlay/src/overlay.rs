@@ -1,4 +1,4 @@
-//! `overlay`: what other nodes found, drawn onto their picture.
+//! `overlay`: draws the results of other nodes on their image.
 
 use std::fmt::Write;
 
@@ -17,7 +17,7 @@ use crate::marks::{self, Pen, Words};
 use crate::nearness;
 use crate::quantity::{error_column, write_with_error};
 
-/// Corner of the picture.
+/// A corner of the image.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Corner {
     /// Upper left.
@@ -31,7 +31,7 @@ pub enum Corner {
 }
 
 impl Corner {
-    /// Upper left point of something of `size` in this corner of a picture of `frame`, both width, height in px.
+    /// Upper left point of something of `size` in this corner of an image of `frame`; both are width, height in px.
     fn at(self, frame: (usize, usize), size: (f32, f32), margin: f32) -> (f32, f32) {
         let right = frame.0 as f32 - size.0 - margin;
         let bottom = frame.1 as f32 - size.1 - margin;
@@ -45,10 +45,10 @@ impl Corner {
     }
 }
 
-/// Inputs.
+/// Input ports of `overlay`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture to draw on.
+    /// The image to draw on.
     pub image: Image<'f, Bgr8>,
     /// Registration: draws the outline of the right view and writes the state.
     pub homography: Option<Value<'f, Homography>>,
@@ -66,9 +66,9 @@ pub struct In<'f> {
     pub table: Option<Table<'f>>,
     /// A number.
     pub scalar: Option<Value<'f, Scalar>>,
-    /// Texts, each on lines of its own.
+    /// Texts, each on separate lines.
     pub text: Option<List<'f, Text<'f>>>,
-    /// A mask of the picture's size.
+    /// A mask of the image's size.
     pub mask: Option<Image<'f, Mask>>,
     /// Disparity map, px, shown as an inset.
     pub disparity: Option<Image<'f, Disparity>>,
@@ -76,20 +76,20 @@ pub struct In<'f> {
     pub depth: Option<Image<'f, Depth>>,
 }
 
-/// Outputs.
+/// Output ports of `overlay`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The picture with everything drawn on it. The input's own buffer when there is nothing to draw.
+    /// The image with everything drawn on it. The input's own buffer when there is nothing to draw.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `overlay`.
 #[derive(Params)]
 pub struct Settings {
     /// Draws the state of the registration.
     #[param(default = true)]
     pub show_registration: bool,
-    /// Draws the outline of the right view and the registration's numbers too. Without it only a registration that is held or lost is named.
+    /// Also draws the outline of the right view and the registration's numbers. Without it only a held or lost registration is named.
     #[param(default = true)]
     pub show_outline: bool,
     /// Draws the rectangle of `roi`.
@@ -98,7 +98,7 @@ pub struct Settings {
     /// Draws boxes with their labels.
     #[param(default = true)]
     pub show_boxes: bool,
-    /// Lowest score of boxes and masks that are drawn.
+    /// Minimum score of boxes and masks that are drawn.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
     pub min_score: f32,
     /// Draws masks.
@@ -110,24 +110,24 @@ pub struct Settings {
     /// Writes table, scalar and text.
     #[param(default = true)]
     pub show_numbers: bool,
-    /// Columns of the table that are written, separated by commas; empty writes all. The unit follows the number, and the 95 % error bound where the
+    /// Columns of the table that are written, separated by commas; empty writes all. The unit follows the number, and the 95 % error bound if the
     /// next column holds it: `distance_mm` with `error_mm` is written as `distance 12.3 ± 1.2 mm`.
     #[param(default = "")]
     pub columns: String,
     /// Shows the disparity or depth map as an inset.
     #[param(default = true)]
     pub show_inset: bool,
-    /// Where words stand: on the picture, or below it where they cover nothing.
+    /// Where text is written: on the image, or below it where it covers nothing.
     #[param(default = "picture")]
     pub words: Words,
-    /// Lines of the bar below the picture.
+    /// Number of lines of the bar below the image.
     #[param(default = 2, range = 1..=8)]
     pub bar_lines: usize,
-    /// Width of the output that a small picture with a bar is enlarged to, by the nearest whole factor, so that the text stays sharp on a large screen.
-    /// 0 keeps its size.
+    /// Width to which a small image with a bar is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps
+    /// its size.
     #[param(default = 0, range = 0..=4096, unit = "px")]
     pub wanted_width: usize,
-    /// Text that is always written in the corner; the title of a bar below the picture.
+    /// Text that is always written in the corner; the title of a bar below the image.
     #[param(default = "")]
     pub label: String,
     /// Corner of all text.
@@ -136,13 +136,13 @@ pub struct Settings {
     /// Corner of the inset.
     #[param(default = "bottom_right")]
     pub inset_corner: Corner,
-    /// Width of the inset, as a share of the picture's width.
+    /// Width of the inset, as a share of the image's width.
     #[param(default = 0.3, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     pub inset_share: f32,
-    /// Colours of the inset.
+    /// Colour map of the inset.
     #[param(default = "rainbow")]
     pub colors: Colors,
-    /// Size of text: capital letters are six times as many px high.
+    /// Scale of text: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
     /// Width of lines.
@@ -151,17 +151,17 @@ pub struct Settings {
     /// Opacity of masks.
     #[param(default = 0.4, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     pub mask_alpha: f32,
-    /// Offset added to all coordinates, x and y in px: the position of the left view's corner in the picture.
+    /// Offset added to all coordinates, x and y in px: the position of the left view's corner in the image.
     #[param(default = [], range = 0..=2, unit = "px", points)]
     pub offset_px: Vec<f64>,
 }
 
-/// Width of text in a corner, as a share of the picture's: longer lines are wrapped and leave the middle free.
+/// Maximum width of text in a corner, as a share of the image's: longer lines are wrapped so that the middle stays free.
 const WORDS_SHARE: f32 = 0.45;
 
-/// Width of a picture at which marks and words have the size of the parameters where words stand below it.
+/// Width of an image at which marks and text have the size of the parameters, if text is written below it.
 const USUAL_WIDTH: f32 = 640.0;
-/// Least size of words below a picture, as a share of the parameter's.
+/// Minimum scale of text below an image, as a share of the parameter's.
 const MIN_SCALE: f32 = 0.5;
 
 /// Breaks lines that are wider than `width_px` at spaces.
@@ -183,22 +183,63 @@ fn wrap(words: &mut String, width_px: f32, scale: f32) {
     }
 }
 
-/// Draws onto pictures.
+/// Draws the results of other nodes on images.
 #[derive(Default)]
 pub struct Overlay {
     auto: AutoRange,
     words: String,
     item: String,
     inset: Vec<u8>,
-    /// A picture with its marks, before it is enlarged.
+    /// The image with its marks, before it is enlarged.
     small: Vec<u8>,
     fit: Fit,
     labels: Labels,
     bar: Bar,
     /// Indices of the boxes that are shown, in the order of their tracks.
     shown: Vec<usize>,
-    /// A label that cannot be drawn was reported.
+    /// Whether a label that cannot be drawn was reported.
     has_warned: bool,
+}
+
+/// The inputs that the parameters show.
+struct Layers<'f> {
+    homography: Option<Value<'f, Homography>>,
+    roi: Option<Value<'f, Roi>>,
+    boxes: Option<Detections<'f>>,
+    instances: Option<Instances<'f>>,
+    mask: Option<Image<'f, Mask>>,
+    tip: Option<Value<'f, Tip>>,
+    nearness: Option<Table<'f>>,
+    map: Option<View<'f, f32>>,
+}
+
+impl<'f> Layers<'f> {
+    fn of(input: &In<'f>, params: &Settings) -> Self {
+        let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view()));
+        Self {
+            homography: input.homography.filter(|_| params.show_registration),
+            roi: input.roi.filter(|_| params.show_roi),
+            boxes: input.instances.map(|i| i.detections()).or(input.detections).filter(|_| params.show_boxes),
+            instances: input.instances.filter(|_| params.show_masks),
+            mask: input.mask.filter(|_| params.show_masks),
+            tip: input.tip.filter(|_| params.show_tip),
+            nearness: input.nearness.filter(|_| params.show_tip),
+            map: map.filter(|_| params.show_inset),
+        }
+    }
+
+    /// Whether nothing but text is drawn.
+    fn is_empty(&self, params: &Settings) -> bool {
+        let is_sure = |item: &Detection| item.score >= params.min_score;
+        !(self.homography.is_some_and(|_| params.show_outline)
+            || self.roi.is_some()
+            || self.boxes.is_some_and(|b| b.items().iter().any(is_sure))
+            || self.instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
+            || self.mask.is_some()
+            || self.tip.is_some()
+            || self.nearness.is_some()
+            || self.map.is_some())
+    }
 }
 
 impl Overlay {
@@ -267,13 +308,129 @@ impl Overlay {
         let (width, height) = draw::text_size(&self.item, scale);
         self.labels.take(Area { x, y, width: width + 6.0, height: height + 6.0 });
     }
+
+    /// Draws on a copy of the image, with text in a corner of it.
+    fn draw_in_place(
+        &mut self,
+        image: &Image<'_, Bgr8>,
+        layers: &Layers<'_>,
+        slot: &mut Slot<'_, Bgr8>,
+        pen: &Pen,
+        params: &Settings,
+    ) -> Result<()> {
+        let frame = (image.width(), image.height());
+        let mut picture = slot.alloc_copy(image)?;
+        let size = draw::text_size(self.words.trim_end(), params.text_scale);
+        let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);
+        // Lines and bright tissue stay away from the letters.
+        let room = (2.0 * params.text_scale).ceil();
+        let plate =
+            Area { x: corner.0 - room, y: corner.1 - room, width: size.0 + 2.0 * room, height: size.1 + 2.0 * room };
+        // What keeps its place is taken before labels look for theirs.
+        self.labels.begin(frame.0, frame.1);
+        if !self.words.trim_end().is_empty() {
+            self.labels.take(plate);
+        }
+        self.draw_layers(&mut picture, layers, pen, params);
+        let words = self.words.trim_end();
+        if !words.is_empty() {
+            let plate = [plate.x, plate.y, plate.width, plate.height].map(|v| v as i32);
+            draw::fill_rectangle(&mut picture, plate[0], plate[1], plate[2], plate[3], [0; 3], 0.55);
+            draw::text(&mut picture, corner.0, corner.1, words, params.text_scale, [255, 255, 255]);
+        }
+        Ok(())
+    }
+
+    /// Draws on a copy of the image, enlarged towards `wanted_width`, with a bar of text below it.
+    fn draw_with_bar(
+        &mut self,
+        image: &Image<'_, Bgr8>,
+        layers: &Layers<'_>,
+        slot: &mut Slot<'_, Bgr8>,
+        mut pen: Pen,
+        params: &Settings,
+    ) -> Result<()> {
+        let frame = (image.width(), image.height());
+        let scale = (frame.0 as f32 / USUAL_WIDTH).max(MIN_SCALE);
+        (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
+        let factor = enlargement(frame.0, params.wanted_width);
+        let (width, height) = (factor * frame.0, factor * frame.1);
+        let bar_scale = factor as f32 * pen.text_scale;
+        let bar_px = bar::height_px(params.bar_lines, bar_scale);
+        let whole = slot.alloc(width, height + bar_px)?;
+        let stride = whole.stride;
+        let (upper, lower) = whole.data.split_at_mut(height * stride);
+        let mut upper = ViewMut::with_stride(upper, width, height, 3, stride);
+        let mut below = ViewMut::with_stride(lower, width, bar_px, 3, stride);
+        self.labels.begin(frame.0, frame.1);
+        let from = image.view();
+        let copy = |picture: &mut ViewMut<'_, u8>| {
+            (0..frame.1).for_each(|y| picture.row_mut(y).copy_from_slice(from.row(y)));
+        };
+        if factor == 1 {
+            copy(&mut upper);
+            self.draw_layers(&mut upper, layers, &pen, params);
+        } else {
+            let mut small = std::mem::take(&mut self.small);
+            small.resize(3 * frame.0 * frame.1, 0);
+            let mut picture = ViewMut::new(&mut small, frame.0, frame.1, 3);
+            copy(&mut picture);
+            self.draw_layers(&mut picture, layers, &pen, params);
+            self.fit.place(&mut upper, &picture.as_view(), (0, 0), (width, height));
+            self.small = small;
+        }
+        self.bar.add(&self.words, None);
+        self.bar.draw(&mut below, params.bar_lines, bar_scale);
+        Ok(())
+    }
+
+    /// Draws the layers: areas first, then lines, text last. Starts the bar; `labels` must have been started.
+    fn draw_layers(&mut self, picture: &mut ViewMut<'_, u8>, layers: &Layers<'_>, pen: &Pen, params: &Settings) {
+        let frame = (picture.width, picture.height);
+        if let Some(area) = layers.tip.as_ref().and_then(|tip| marks::tip_area(tip, pen)) {
+            self.labels.take(area);
+        }
+        if let Some(mask) = layers.mask {
+            draw::blend_mask(picture, &mask.view(), [200, 160, 40], params.mask_alpha);
+        }
+        if let Some(instances) = &layers.instances {
+            marks::masks(picture, instances, pen);
+        }
+        if let Some(value) = layers.homography.as_ref().filter(|_| params.show_outline) {
+            marks::registration(picture, value, (frame.0 as f32, frame.1 as f32), pen);
+        }
+        if let Some(roi) = &layers.roi {
+            marks::roi(picture, roi, pen);
+        }
+        if let Some(map) = &layers.map {
+            self.draw_inset(picture, map, params);
+        }
+        if let Some(boxes) = &layers.boxes {
+            marks::boxes(picture, boxes, pen);
+        }
+        self.bar.begin(&params.label);
+        // The tip's text belongs to a point, so it takes its room before that of the boxes.
+        if let Some(tip) = &layers.tip {
+            marks::tip(picture, tip, pen, &mut self.item, &mut self.labels);
+        }
+        if let Some(boxes) = &layers.boxes {
+            match params.words {
+                Words::Picture => marks::box_labels(picture, boxes, pen, &mut self.item, &mut self.labels),
+                Words::Below => marks::box_keys(picture, boxes, pen, &mut self.shown, &mut self.item, &mut self.bar),
+                Words::Nowhere => {}
+            }
+        }
+        if let Some(table) = &layers.nearness {
+            nearness::draw(picture, table, pen, &mut self.item, &mut self.bar);
+        }
+    }
 }
 
 impl Node for Overlay {
     const INFO: NodeInfo = NodeInfo::compute(
         "overlay",
         "overlay",
-        "Draws registrations, boxes, masks, tips, numbers and maps on a picture.",
+        "Draws registrations, boxes, masks, tips, numbers and maps on an image.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -281,7 +438,11 @@ impl Node for Overlay {
 
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         if params.offset_px.len() == 1 {
-            check.error("offset_px", "`offset_px` is x and y, one number is given", "give two numbers, or none");
+            check.error(
+                "offset_px",
+                "`offset_px` needs two numbers, x and y, but has one",
+                "give two numbers, or none",
+            );
         }
     }
 
@@ -290,44 +451,24 @@ impl Node for Overlay {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
-        let frame = (input.image.width(), input.image.height());
         let offset = match params.offset_px.as_slice() {
             [] => (0.0, 0.0),
             [x, y] => (*x as f32, *y as f32),
-            other => return Err(NodeError::new(format!("`offset_px` is x and y, {} numbers are given", other.len()))),
+            other => {
+                return Err(NodeError::new(format!("`offset_px` needs two numbers, x and y, but has {}", other.len())));
+            }
         };
-        let homography = input.homography.filter(|_| params.show_registration);
-        let roi = input.roi.filter(|_| params.show_roi);
-        let boxes = input.instances.map(|i| i.detections()).or(input.detections).filter(|_| params.show_boxes);
-        if let Some(label) = boxes.as_ref().and_then(marks::undrawable_label)
+        let layers = Layers::of(&input, params);
+        if let Some(label) = layers.boxes.as_ref().and_then(marks::undrawable_label)
             && !std::mem::replace(&mut self.has_warned, true)
         {
-            cx.warn(&format!("the font has no letters for the class `{label}`: its number is written"));
+            cx.warn(&format!("the font cannot draw the class name `{label}`: its number is drawn instead"));
         }
-        let instances = input.instances.filter(|_| params.show_masks);
-        let mask = input.mask.filter(|_| params.show_masks);
-        let tip = input.tip.filter(|_| params.show_tip);
-        let nearness = input.nearness.filter(|_| params.show_tip);
-        let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view())).filter(|_| params.show_inset);
         self.words.clear();
         if params.words != Words::Nowhere {
             self.write_words(&input, params);
         }
-        let is_below = params.words == Words::Below;
-        if !is_below {
-            wrap(&mut self.words, frame.0 as f32 * WORDS_SHARE, params.text_scale);
-        }
-        let is_sure = |item: &Detection| item.score >= params.min_score;
-        let something = homography.is_some_and(|_| params.show_outline)
-            || roi.is_some()
-            || boxes.is_some_and(|b| b.items().iter().any(is_sure))
-            || instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
-            || mask.is_some()
-            || tip.is_some()
-            || nearness.is_some()
-            || map.is_some()
-            || !self.words.is_empty();
-        let mut pen = Pen {
+        let pen = Pen {
             line_px: params.line_px,
             text_scale: params.text_scale,
             offset,
@@ -335,107 +476,14 @@ impl Node for Overlay {
             min_score: params.min_score,
             words: params.words,
         };
-        // A bar comes and goes with the parameter only: the picture keeps its size.
-        if !something && !is_below {
+        // A bar comes and goes with the parameter only: the image keeps its size.
+        if params.words == Words::Below {
+            return self.draw_with_bar(&input.image, &layers, &mut out.image, pen, params);
+        }
+        wrap(&mut self.words, input.image.width() as f32 * WORDS_SHARE, params.text_scale);
+        if layers.is_empty(params) && self.words.is_empty() {
             return out.image.forward(input.image.frame());
         }
-        let whole;
-        let mut picture;
-        let mut below = None;
-        let mut enlarged = None;
-        let mut small = std::mem::take(&mut self.small);
-        let mut bar_scale = 0.0;
-        if is_below {
-            let scale = (frame.0 as f32 / USUAL_WIDTH).max(MIN_SCALE);
-            (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
-            let factor = enlargement(frame.0, params.wanted_width);
-            let (width, height) = (factor * frame.0, factor * frame.1);
-            bar_scale = factor as f32 * pen.text_scale;
-            let bar_px = bar::height_px(params.bar_lines, bar_scale);
-            whole = out.image.alloc(width, height + bar_px)?;
-            let stride = whole.stride;
-            let (upper, lower) = whole.data.split_at_mut(height * stride);
-            let upper = ViewMut::with_stride(upper, width, height, 3, stride);
-            below = Some(ViewMut::with_stride(lower, width, bar_px, 3, stride));
-            picture = if factor == 1 {
-                upper
-            } else {
-                enlarged = Some(upper);
-                small.resize(3 * frame.0 * frame.1, 0);
-                ViewMut::new(&mut small, frame.0, frame.1, 3)
-            };
-            let from = input.image.view();
-            (0..frame.1).for_each(|y| picture.row_mut(y).copy_from_slice(from.row(y)));
-        } else {
-            picture = out.image.alloc_copy(&input.image)?;
-        }
-        let words = if is_below { "" } else { self.words.trim_end() };
-        let size = draw::text_size(words, params.text_scale);
-        let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);
-        // Lines and bright tissue stay away from the letters.
-        let room = (2.0 * params.text_scale).ceil();
-        let plate =
-            Area { x: corner.0 - room, y: corner.1 - room, width: size.0 + 2.0 * room, height: size.1 + 2.0 * room };
-        // What keeps its place is taken before labels look for theirs.
-        self.labels.begin(frame.0, frame.1);
-        if !words.is_empty() {
-            self.labels.take(plate);
-        }
-        if let Some(area) = tip.as_ref().and_then(|tip| marks::tip_area(tip, &pen)) {
-            self.labels.take(area);
-        }
-        // Areas first, then lines, words last.
-        if let Some(mask) = mask {
-            draw::blend_mask(&mut picture, &mask.view(), [200, 160, 40], params.mask_alpha);
-        }
-        if let Some(instances) = &instances {
-            marks::masks(&mut picture, instances, &pen);
-        }
-        if let Some(value) = homography.as_ref().filter(|_| params.show_outline) {
-            marks::registration(&mut picture, value, (frame.0 as f32, frame.1 as f32), &pen);
-        }
-        if let Some(roi) = &roi {
-            marks::roi(&mut picture, roi, &pen);
-        }
-        if let Some(map) = &map {
-            self.draw_inset(&mut picture, map, params);
-        }
-        if let Some(boxes) = &boxes {
-            marks::boxes(&mut picture, boxes, &pen);
-        }
-        self.bar.begin(&params.label);
-        // The tip's words belong to a point, so they take their room before those of the boxes.
-        if let Some(tip) = &tip {
-            marks::tip(&mut picture, tip, &pen, &mut self.item, &mut self.labels);
-        }
-        if let Some(boxes) = &boxes {
-            match params.words {
-                Words::Picture => marks::box_labels(&mut picture, boxes, &pen, &mut self.item, &mut self.labels),
-                Words::Below => {
-                    marks::box_keys(&mut picture, boxes, &pen, &mut self.shown, &mut self.item, &mut self.bar);
-                }
-                Words::Nowhere => {}
-            }
-        }
-        if let Some(table) = &nearness {
-            nearness::draw(&mut picture, table, &pen, &mut self.item, &mut self.bar);
-        }
-        if let Some(mut upper) = enlarged {
-            let size = (upper.width, upper.height);
-            self.fit.place(&mut upper, &picture.as_view(), (0, 0), size);
-        }
-        if let Some(mut below) = below {
-            self.bar.add(&self.words, None);
-            self.bar.draw(&mut below, params.bar_lines, bar_scale);
-            self.small = small;
-            return Ok(());
-        }
-        let words = self.words.trim_end();
-        if !words.is_empty() {
-            let plate = [plate.x, plate.y, plate.width, plate.height].map(|v| v as i32);
-            draw::fill_rectangle(&mut picture, plate[0], plate[1], plate[2], plate[3], [0; 3], 0.55);
-            draw::text(&mut picture, corner.0, corner.1, words, params.text_scale, [255, 255, 255]);
-        }
-        Ok(())
+        self.draw_in_place(&input.image, &layers, &mut out.image, &pen, params)
     }
 }

@@ -1,11 +1,11 @@
-//! Measured numbers as text, with their error in digits that make sense.
+//! Measured numbers as text, with significant digits that match their error.
 
 use std::fmt::Write;
 
-/// Maximum number of digits behind the point.
+/// Maximum number of digits after the decimal point.
 const MAX_PLACES: i32 = 4;
 
-/// Writes `26.8 ± 1.2 mm`: the 95 % error bound with two significant digits, rounded up, and the value to the same place.
+/// Writes `26.8 ± 1.2 mm`: the 95 % error bound with two significant digits, rounded up, and the value with the same number of decimals.
 ///
 /// A value that is not finite is written as `-`; a bound that is not finite or not above 0 as `error unknown`.
 pub fn write_with_error(out: &mut String, value: f64, bound: f64, unit: &str) {

@@ -1,4 +1,4 @@
-//! `screen`: one large picture and smaller ones beside it, as a surgeon looks at them (thesis, chapter 6).
+//! `screen`: one large image and smaller ones next to it, for a surgeon's monitor (thesis, chapter 6).
 
 use std::time::Duration;
 
@@ -11,23 +11,23 @@ use panoscope_node::{
 
 use crate::fit::{bytes, fitted_size};
 
-/// Inputs.
+/// Input ports of `screen`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The large picture: bgr8, gray8 or rgba8.
+    /// The large image: bgr8, gray8 or rgba8.
     pub main: AnyImage<'f>,
-    /// Smaller pictures, beside the large one and below it.
+    /// Smaller images, next to the large one and below it.
     pub side: Option<List<'f, AnyImage<'f>>>,
 }
 
-/// Outputs.
+/// Output ports of `screen`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The whole screen, always of the same size.
+    /// The complete screen, always of the same size.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `screen`.
 #[derive(Params)]
 pub struct Settings {
     /// Width of the screen.
@@ -36,42 +36,42 @@ pub struct Settings {
     /// Height of the screen.
     #[param(default = 720, range = 64..=4320, unit = "px")]
     pub height: usize,
-    /// Width of a column with all smaller pictures, as a share of the screen's width. 0 finds the arrangement that fills the screen: a column
-    /// beside the large picture, a row below it, or both.
+    /// Width of a column with all smaller images, as a share of the screen's width. 0 finds the arrangement that fills the screen: a column next to
+    /// the large image, a row below it, or both.
     #[param(default = 0.0, range = 0.0..=0.5, step = 0.01, unit = "ratio")]
     pub side_share: f32,
-    /// Margin around pictures on a screen 720 px high; it grows with the screen.
+    /// Margin around images on a screen 720 px high; it grows with the screen.
     #[param(default = 4, range = 0..=64, unit = "px")]
     pub gap_px: usize,
-    /// Titles separated by semicolons, the large picture's first. Each stands in a strip below its picture; a picture without a title has none.
+    /// Titles separated by semicolons, the large image's first. Each is in a strip below its image; an image without a title has no strip.
     #[param(default = "")]
     pub titles: String,
-    /// Size of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high.
+    /// Scale of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
-    /// Age of its light from which a picture is dimmed and framed, with its age in the middle. 0 shows every picture as it is.
+    /// Age of its light from which an image is dimmed and framed, with its age in the middle. 0 shows every image as it is.
     #[param(default = 1000, range = 0..=60000, unit = "ms")]
     pub max_age_ms: u64,
 }
 
-/// Brightness that is left of a picture that is too old, of 256.
+/// Remaining brightness of an image that is too old, of 256.
 const DIMMED: u16 = 90;
-/// Frame and age of a picture that is too old: amber.
+/// Colour of the frame and age of an image that is too old: amber.
 const STALE: [u8; 3] = [40, 180, 255];
 const BACKGROUND: u8 = 16;
-/// Height of a screen on which margins and titles have the size of the parameters.
+/// Height of a screen at which margins and titles have the size of the parameters.
 const USUAL_HEIGHT: f32 = 720.0;
-/// Height of the strip for a title, in units of the scale of text: letters, descenders and their outline.
+/// Height of the strip for a title, in units of the text scale: letters, descenders and their outline.
 const STRIP: f32 = 12.0;
-/// Where the title begins in it, in the same units.
+/// Top of the title in its strip, in the same units.
 const TITLE_TOP: f32 = 2.5;
 
-/// Composes the screen. A smaller picture that has not arrived leaves its cell dark.
+/// Composes the screen. A smaller image that has not arrived leaves its cell dark.
 #[derive(Default)]
 pub struct Screen {
     fit: Fit,
     composition: Composition,
-    /// What each picture covers.
+    /// The area that each image covers.
     shown: Vec<Cell>,
 }
 
@@ -94,7 +94,7 @@ impl Screen {
     }
 }
 
-/// How much larger margins and words are than on a screen of the usual height.
+/// Scale of margins and text relative to a screen of the usual height.
 fn grown(params: &Settings) -> f32 {
     params.height as f32 / USUAL_HEIGHT
 }
@@ -107,7 +107,7 @@ fn titles(params: &Settings) -> impl Iterator<Item = &str> {
     params.titles.split(';').map(str::trim)
 }
 
-/// Where a picture of this size stands: in the middle of its cell, above the strip of `caption` px.
+/// Position of an image of this size: in the middle of its cell, above the strip of `caption` px.
 fn place(size: Size, cell: Cell, caption: usize) -> Cell {
     let height = cell.height.saturating_sub(caption);
     let (width, shown_height) = fitted_size(size, (cell.width, height));
@@ -115,7 +115,7 @@ fn place(size: Size, cell: Cell, caption: usize) -> Cell {
     Cell { x, y: cell.y + height.saturating_sub(shown_height) / 2, width, height: shown_height }
 }
 
-/// Fills what no picture covers.
+/// Fills the area that no image covers.
 fn fill_around(screen: &mut ViewMut<'_, u8>, pictures: &[Cell]) {
     let width = screen.width;
     for y in 0..screen.height {
@@ -136,7 +136,7 @@ fn fill_around(screen: &mut ViewMut<'_, u8>, pictures: &[Cell]) {
     }
 }
 
-/// Dims a picture, frames it and writes how old its light is in its middle.
+/// Dims an image, frames it and writes the age of its light in its middle.
 fn mark_stale(screen: &mut ViewMut<'_, u8>, cell: Cell, age: Duration, scale: f32) {
     for y in cell.y..cell.y + cell.height {
         for value in &mut screen.row_mut(y)[3 * cell.x..3 * (cell.x + cell.width)] {
@@ -156,7 +156,7 @@ fn mark_stale(screen: &mut ViewMut<'_, u8>, cell: Cell, age: Duration, scale: f3
 
 impl Node for Screen {
     const INFO: NodeInfo =
-        NodeInfo::compute("screen", "overlay", "Puts one large picture and smaller ones beside it on a screen.");
+        NodeInfo::compute("screen", "overlay", "Puts one large image and smaller ones next to it on a screen.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
@@ -176,8 +176,8 @@ impl Node for Screen {
                 continue;
             };
             let Some(pixels) = bytes(&picture) else {
-                let name = if index == 0 { "`main`".to_owned() } else { format!("picture {} of `side`", index - 1) };
-                return Err(NodeError::new(format!("{name} holds no 8-bit picture: put a `colorize` node in front")));
+                let name = if index == 0 { "`main`".to_owned() } else { format!("image {} of `side`", index - 1) };
+                return Err(NodeError::new(format!("{name} is not an 8-bit image: put a `colorize` node in front")));
             };
             self.shown.push(place((pixels.width, pixels.height), *cell, tile.caption));
         }

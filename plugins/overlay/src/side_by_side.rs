@@ -1,4 +1,4 @@
-//! `side_by_side`: several pictures in one.
+//! `side_by_side`: combines several images into one.
 
 use panoscope_imaging::draw;
 use panoscope_imaging::fit::Fit;
@@ -6,47 +6,47 @@ use panoscope_node::{AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, O
 
 use crate::fit::{bytes, fitted_size};
 
-/// Inputs.
+/// Input ports of `side_by_side`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Pictures, row after row: bgr8, gray8 or rgba8.
+    /// Images, row after row: bgr8, gray8 or rgba8.
     pub views: List<'f, AnyImage<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `side_by_side`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// All pictures in a grid.
+    /// All images in a grid.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `side_by_side`.
 #[derive(Params)]
 pub struct Settings {
-    /// Pictures in a row; 0 makes the grid about as wide as it is high.
+    /// Images per row; 0 makes the grid about as wide as it is high.
     #[param(default = 0, range = 0..=64)]
     pub columns: usize,
-    /// Width of a cell; 0 takes the first picture's.
+    /// Width of a cell; 0 takes the first image's.
     #[param(default = 0, range = 0..=8192, unit = "px")]
     pub cell_width: usize,
-    /// Height of a cell; 0 takes the first picture's.
+    /// Height of a cell; 0 takes the first image's.
     #[param(default = 0, range = 0..=8192, unit = "px")]
     pub cell_height: usize,
-    /// Gap between pictures.
+    /// Gap between images.
     #[param(default = 4, range = 0..=256, unit = "px")]
     pub gap_px: usize,
-    /// Titles in the order of the pictures, separated by semicolons. Each stands in a strip below its picture; without titles there are no strips.
+    /// Titles in the order of the images, separated by semicolons. Each is in a strip below its image; without titles there are no strips.
     #[param(default = "")]
     pub titles: String,
-    /// Size of the titles: capital letters are six times as many px high.
+    /// Scale of the titles: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
 }
 
-/// Height of the strip for a title, in units of the scale of text: letters, descenders and their outline.
+/// Height of the strip for a title, in units of the text scale: letters, descenders and their outline.
 const STRIP: f32 = 12.0;
 
-/// Composes pictures in a grid. A picture that is missing in a tick leaves its cell dark.
+/// Composes images in a grid. An image that is missing in a tick leaves its cell dark.
 #[derive(Default)]
 pub struct SideBySide {
     cell: Option<(usize, usize)>,
@@ -54,7 +54,7 @@ pub struct SideBySide {
 }
 
 impl Node for SideBySide {
-    const INFO: NodeInfo = NodeInfo::compute("side_by_side", "overlay", "Puts several pictures with titles into one.");
+    const INFO: NodeInfo = NodeInfo::compute("side_by_side", "overlay", "Puts several images with titles into one.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
@@ -90,7 +90,7 @@ impl Node for SideBySide {
             if let Some(view) = view {
                 let Some(pixels) = bytes(&view) else {
                     return Err(NodeError::new(format!(
-                        "view {index} holds no 8-bit picture: put a `colorize` node in front"
+                        "view {index} is not an 8-bit image: put a `colorize` node in front"
                     )));
                 };
                 let size = fitted_size((pixels.width, pixels.height), cell);

@@ -1,4 +1,4 @@
-//! `trajectory`: the trajectory of a tool's tip in space, on the picture and in a small box (thesis, fig. 6.5).
+//! `trajectory`: the trajectory of a tool's tip in space, on the image and in a small box (thesis, fig. 6.5).
 
 use std::collections::VecDeque;
 use std::fmt::Write;
@@ -10,7 +10,7 @@ use panoscope_node::{
     error,
 };
 
-/// Inputs.
+/// Input ports of `trajectory`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// The left rectified view.
@@ -21,39 +21,39 @@ pub struct In<'f> {
     camera_pose: Option<Value<'f, Pose>>,
     /// Calibration of the rectified views, to project positions to pixels.
     calibration: Option<Value<'f, Calibration>>,
-    /// Instruments that the box stays off.
+    /// Instruments that the box does not cover.
     detections: Option<Detections<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `trajectory`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The picture with the trajectory drawn.
+    /// The image with the trajectory drawn on it.
     image: Slot<'f, Bgr8>,
-    /// Size of the box in words. Where this is connected, they are not drawn on the picture.
+    /// Size of the box as text. If this is connected, the text is not drawn on the image.
     text: Slot<'f, TextPacket>,
 }
 
-/// Parameters.
+/// Parameters of `trajectory`.
 #[derive(Params)]
 pub struct Settings {
     /// Length of the trajectory.
     #[param(default = 240, range = 2..=3000, unit = "frames", reopen)]
     length: usize,
-    /// Marks where an arm keeps the tip: the middle of what both cameras see, at this distance from the left camera. Without `camera_pose` there is no
-    /// arm and no mark; 0 draws none.
+    /// Marks the position at which an arm keeps the tip: the middle of what both cameras see, at this distance from the left camera. Without
+    /// `camera_pose` there is no arm and no mark; 0 draws none.
     #[param(default = 66.0, range = 0.0..=200.0, step = 1.0, unit = "mm")]
     goal_mm: f64,
-    /// Draws the trajectory in a box too, seen in perspective.
+    /// Also draws the trajectory in a box, in perspective.
     #[param(default = true)]
     show_box: bool,
-    /// Width of the box, as a share of the picture's width.
+    /// Width of the box, as a share of the image's width.
     #[param(default = 0.3, range = 0.1..=1.0, step = 0.05, unit = "ratio")]
     box_share: f32,
-    /// Width of lines in pictures up to 640 px wide; in wider ones they grow with the picture.
+    /// Width of lines in images up to 640 px wide; in wider ones it grows with the image.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5, unit = "px")]
     line_px: f32,
-    /// Size of text: capital letters are six times as many px high.
+    /// Scale of text: capital letters are six times as many px high.
     #[param(default = 1.5, range = 0.5..=20.0, step = 0.5)]
     text_scale: f32,
 }
@@ -62,23 +62,23 @@ type Point = [f64; 3];
 
 /// Draws the trajectory of a tip.
 pub struct Trajectory {
-    /// Positions in the scene, mm, oldest first; none where the tip was lost.
+    /// Positions in the scene, mm, oldest first; `None` where the tip was lost.
     positions: VecDeque<Option<Point>>,
     words: String,
-    /// Corner in which the box stands.
+    /// Corner that contains the box.
     corner: usize,
 }
 
-/// Corners in which the box may stand, best first: whether it stands right, and below. Words stand in the others.
+/// Corners for the box, best first: whether it is at the right, and at the bottom. Text is in the other corners.
 const CORNERS: [(bool, bool); 3] = [(true, true), (false, true), (true, false)];
-/// Width of a box in a picture of 640 px.
+/// Width of the box in an image of 640 px.
 const USUAL_BOX_PX: f32 = 192.0;
-/// Width of pictures in which lines have the width of the parameter.
+/// Width of images at which lines have the width of the parameter.
 const USUAL_WIDTH: f32 = 640.0;
-/// Distance that a tip keeps from the box, px.
+/// Minimum distance between a tip and the box, px.
 const TIP_ROOM_PX: f32 = 24.0;
 
-/// A pose as rows of a rotation, and a translation, mm.
+/// A pose: rows of a rotation matrix, and a translation, mm.
 struct Frame {
     rows: [Point; 3],
     at: Point,
@@ -111,7 +111,7 @@ impl Frame {
     }
 }
 
-/// Upper left corner of a box of `size` px in a corner of a picture of `frame`.
+/// Upper left corner of a box of `size` px in a corner of an image of `frame`.
 fn place_of(corner: usize, frame: (f32, f32), size: f32) -> (f32, f32) {
     let (is_right, is_below) = CORNERS[corner % CORNERS.len()];
     let at = |is_far: bool, length: f32| if is_far { length - size - 6.0 } else { 6.0 };
@@ -124,7 +124,7 @@ fn color(age: f32) -> Color {
     [(230.0 * (1.0 - new)) as u8 + 20, (90.0 + 140.0 * new) as u8, (40.0 + 210.0 * new) as u8]
 }
 
-/// Projects a position in the camera's frame to the picture, px; none behind the camera.
+/// Projects a position in the camera's frame to the image, px; `None` behind the camera.
 fn pixel(projection: &[f64; 12], p: Point) -> Option<(f32, f32)> {
     (p[2] > 1.0).then(|| {
         let (u, v) = (projection[0] * p[0] / p[2] + projection[2], projection[5] * p[1] / p[2] + projection[6]);
@@ -139,8 +139,8 @@ impl Trajectory {
         two.filter_map(move |(index, (a, b))| Some(((*a)?, (*b)?, 1.0 - (index + 1) as f32 / (count - 1.0))))
     }
 
-    /// Chooses the corner in which a box of `size` px covers least of what is `taken` in a picture of `frame`. It moves only when it covers
-    /// something and another corner has much less of it.
+    /// Chooses the corner in which a box of `size` px covers least of what is `taken` in an image of `frame`. It moves only when it covers something
+    /// and another corner has much less of it.
     fn choose_corner(&mut self, frame: (f32, f32), size: f32, taken: &[Area]) {
         let covered = |corner: usize| -> f32 {
             let (x, y) = place_of(corner, frame, size);
@@ -154,8 +154,8 @@ impl Trajectory {
         }
     }
 
-    /// The trajectory in a box of whole centimetres, seen from above and from the side, with its shadow on the floor.
-    /// Leaves its size in `words`, empty where there is no box; writes it into the box where `with_words`.
+    /// Draws the trajectory in a box of integer centimetres, in perspective, with its shadow on the floor. Writes its size to `words` (empty if there
+    /// is no box), and into the box if `with_words`.
     fn draw_box(&mut self, out: &mut ViewMut<'_, u8>, settings: &Settings, with_words: bool) {
         self.words.clear();
         let size = out.width as f32 * settings.box_share;
@@ -205,7 +205,7 @@ impl Trajectory {
 
 impl Node for Trajectory {
     const INFO: NodeInfo =
-        NodeInfo::compute("trajectory", "overlay", "Draws the trajectory of a tool's tip on the picture and in a box.");
+        NodeInfo::compute("trajectory", "overlay", "Draws the trajectory of a tool's tip on the image and in a box.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
@@ -216,7 +216,9 @@ impl Node for Trajectory {
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, settings: &Settings) -> Result<()> {
         let frame = match &input.camera_pose {
-            Some(pose) => Frame::of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
+            Some(pose) => Frame::of(pose).ok_or_else(|| {
+                error!("the camera pose is not valid: its numbers are not finite, or its quaternion is 0")
+            })?,
             None => Frame::NONE,
         };
         let tip = input.tip.filter(|tip| tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()));

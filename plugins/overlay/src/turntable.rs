@@ -1,4 +1,4 @@
-//! `turntable`: a point cloud as a surface that turns (thesis, fig. 3.9).
+//! `turntable`: shows a point cloud as a surface that turns (thesis, fig. 3.9).
 
 use std::f32::consts::TAU;
 
@@ -6,55 +6,55 @@ use panoscope_imaging::draw::{DrawnPoint, GradientLimit, Orbit, SurfacePainter, 
 use panoscope_node::abi::{Calibration, Scalar};
 use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
 
-/// Inputs.
+/// Input ports of `turntable`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Points of `reproject`, mm. Those that were filled in are drawn darker.
     pub cloud: Cloud<'f>,
-    /// Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
+    /// Calibration of the rectified views, for the baseline. Without it 5 mm is assumed, the baseline of a narrow scope.
     pub calibration: Option<Value<'f, Calibration>>,
-    /// Above 0 while the calibration does not fit the views, as a matcher tells: no length is stated then.
+    /// Above 0 while the calibration does not fit the views, as a matcher reports it. No length is shown then.
     pub drifted: Option<Value<'f, Scalar>>,
 }
 
-/// Outputs.
+/// Output ports of `turntable`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The surface from the side, with a ruler while lengths are known.
+    /// The surface seen from the side, with a ruler while lengths are known.
     pub image: Slot<'f, Bgr8>,
 }
 
-/// Parameters.
+/// Parameters of `turntable`.
 #[derive(Params)]
 pub struct Settings {
-    /// Width of the picture.
+    /// Width of the image.
     #[param(default = 640, range = 16..=4096, unit = "px")]
     pub width: usize,
-    /// Height of the picture.
+    /// Height of the image.
     #[param(default = 480, range = 16..=4096, unit = "px")]
     pub height: usize,
-    /// Middle angle of the turn about the vertical axis; 0 is the camera's own direction.
+    /// Mean angle of the turn about the vertical axis; 0 is the camera's own direction.
     #[param(default = 0.0, range = -180.0..=180.0, step = 5.0, unit = "deg")]
     pub yaw_deg: f32,
-    /// Angle about the horizontal axis; above 0 looks from above.
+    /// Angle about the horizontal axis; positive angles look from above.
     #[param(default = 20.0, range = -89.0..=89.0, step = 5.0, unit = "deg")]
     pub pitch_deg: f32,
     /// Angle by which it turns to each side; 180 is a full turn.
     #[param(default = 40.0, range = 0.0..=180.0, step = 5.0, unit = "deg")]
     pub swing_deg: f32,
-    /// Number of pictures for one turn to and fro.
+    /// Number of images for one turn to and fro.
     #[param(default = 240, range = 2..=100000, unit = "frames")]
     pub period: u64,
-    /// Magnification; 1 fills the picture when seen from the front.
+    /// Magnification; 1 fills the image when seen from the front.
     #[param(default = 0.9, range = 0.1..=20.0, step = 0.1, unit = "ratio")]
     pub zoom: f32,
-    /// Spacing of the points that form the surface. 0 takes as many as the picture shows: one for every third of its columns.
+    /// Spacing of the points that form the surface. 0 takes as many as the image can show: one for every third of its columns.
     #[param(default = 2, range = 0..=16, unit = "px")]
     pub step: usize,
-    /// Largest change of disparity between neighbours of one surface by their distance in the picture, px by px; others are not connected.
+    /// Maximum change of disparity per px of distance between neighbours of one surface; others are not connected.
     #[param(default = 1.5, range = 0.1..=100.0, step = 0.1, unit = "ratio")]
     pub max_gradient: f32,
-    /// Strength of the shading of parts that face away.
+    /// Strength of the shading of surfaces that face away.
     #[param(default = 0.6, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     pub shading: f32,
 }
@@ -79,10 +79,10 @@ impl SurfacePoints for Points<'_> {
     }
 }
 
-/// Columns of a picture for each point of the surface, where the step is not given: smaller triangles show no more.
+/// Columns of the image per point of the surface, if the step is not given: smaller triangles show no more detail.
 const COLUMNS_PER_POINT: usize = 3;
 
-/// Every how many points of a cloud `columns` wide are drawn in a picture `width` px wide.
+/// Step at which points of a cloud `columns` wide are drawn in an image `width` px wide.
 fn shown_step(columns: usize, width: usize) -> usize {
     (columns * COLUMNS_PER_POINT / width.max(1)).max(1)
 }

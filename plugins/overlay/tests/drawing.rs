@@ -1,4 +1,4 @@
-//! What the nodes draw, where they draw it, and that they copy nothing without need.
+//! What the nodes draw and where, and that they make no unnecessary copies.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ fn overlay(params: &str) -> Harness<Overlay> {
     node
 }
 
-/// Bounds (left, top, right, bottom, all inside) of the pixels that differ from the flat picture.
+/// Bounds (left, top, right, bottom, all inclusive) of the pixels that differ from the flat image.
 fn changed(view: &View<'_, u8>) -> Option<(usize, usize, usize, usize)> {
     let mut bounds: Option<(usize, usize, usize, usize)> = None;
     for y in 0..view.height {
@@ -203,7 +203,7 @@ fn several_texts_stand_one_below_the_other() {
     assert_ne!(drawn(&["the arm waits", "+12 %"]), drawn(&["the arm waits"]));
 }
 
-/// Everything that could write words, with words below the picture.
+/// Runs everything that can write text, with text below the image.
 fn all_words_below(params: &str, text: &str, score: f32, labels: &str) -> Harness<Overlay> {
     let mut node = overlay(&format!("words = \"below\", {params}"));
     let tip = Tip {
@@ -398,7 +398,7 @@ fn maps_get_colours_and_unknown_places_are_gray() {
     let out = node.input_image::<Confidence>("confidence", 64, 48, &[0.5; 64 * 48]).process().unwrap();
     assert_eq!(out.plane::<Bgr8>("image").unwrap().width, 64);
     node.input_image::<Depth>("depth", 64, 48, &map).input_image::<Disparity>("disparity", 64, 48, &map);
-    assert!(node.process().err().unwrap().to_string().contains("one map at a time"));
+    assert!(node.process().err().unwrap().to_string().contains("more than one map is connected"));
     // The scale beside the map leaves the map as it is.
     let picture = |params: &str| {
         let mut node =
@@ -464,7 +464,7 @@ fn a_screen_keeps_its_size_and_its_main_picture_large() {
     let out = node.input_image::<Gray8>("main", 192, 92, &[70; 192 * 92]).process().unwrap();
     assert_eq!(out.plane::<Bgr8>("image").unwrap().row(50)[195 * 3], 70);
     node.input_image::<GrayF32>("main", 1, 1, &[0.5]);
-    assert!(node.process().err().unwrap().to_string().contains("`main` holds no 8-bit picture"));
+    assert!(node.process().err().unwrap().to_string().contains("`main` is not an 8-bit image"));
 }
 
 #[test]
@@ -490,7 +490,7 @@ fn a_picture_that_is_too_old_is_dimmed_and_framed() {
     assert!(bright > 1000 && amber == 0, "{bright} {amber}");
 }
 
-/// Everything at once on a real picture, for people to look at: `PANOSCOPE_SHOW=folder cargo test -p panoscope-overlay`.
+/// Everything at once on a real image, for visual inspection: `PANOSCOPE_SHOW=folder cargo test -p panoscope-overlay`.
 #[test]
 fn a_full_picture() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -1,7 +1,5 @@
-//! Time of a stereo pair with noise, by scene: core time on one thread and wall time on two, the least of many
-//! runs, in ms.
-//!
-//! `cargo bench -p panoscope-phantom` or, for one scene, `... -- bowel`.
+//! Time of a stereo pair with noise, by scene: core time on one thread and wall time on two, the minimum of many runs, in ms. `cargo bench -p
+//! panoscope-phantom` or, for one scene, `... -- bowel`.
 
 use std::time::Instant;
 
@@ -9,8 +7,7 @@ use panoscope_base::Threads;
 use panoscope_imaging::{Serial, ViewMut};
 use panoscope_phantom::render::{Phantom, Rig, SceneKind, SceneParams, TruthMut};
 
-/// Time this thread spent on a core so far, ns, where the system reports it (Linux): says more than the clock on a
-/// busy machine.
+/// CPU time of this thread so far, ns, if the system reports it (Linux). On a busy machine it is more reliable than the clock.
 fn core_ns() -> Option<f64> {
     std::fs::read_to_string("/proc/thread-self/schedstat").ok()?.split(' ').next()?.parse().ok()
 }

@@ -1,4 +1,4 @@
-//! A rendered tissue scene seen by two or four cameras, with exact truth.
+//! A rendered tissue scene seen by two or four cameras, with exact ground truth.
 
 mod node;
 pub mod render;

@@ -1,4 +1,4 @@
-//! The node's truth ports, its instruments, and ticks that are dropped.
+//! The node's ground truth ports, its instruments, and ticks that are dropped.
 
 use panoscope_node::abi::Tip;
 use panoscope_node::harness::{Harness, HarnessError};

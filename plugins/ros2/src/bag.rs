@@ -1,4 +1,4 @@
-//! `ros2_bag`: a bag of ROS 2 as a source.
+//! `ros2_bag`: plays a bag of ROS 2.
 
 use std::path::PathBuf;
 
@@ -10,37 +10,37 @@ use panoscope_ros::messages;
 pub use crate::incoming::Out;
 use crate::incoming::{Arrived, Incoming, IncomingError, Ready, Role, info_topic};
 
-/// Parameters.
+/// Parameters of `ros2_bag`.
 #[derive(Params)]
 pub struct Settings {
     /// Folder of a bag with MCAP files, or one MCAP file.
     #[param(default = "", reopen, file)]
     pub path: String,
-    /// Topic of the left view. Empty takes the first picture topic with `left` in its name, or the only one there is.
+    /// Topic of the left view. Empty: the first image topic with `left` in its name, or the only one there is.
     #[param(default = "", reopen)]
     pub left: String,
-    /// Topic of the right view. Empty takes the first picture topic with `right` in its name.
+    /// Topic of the right view. Empty: the first image topic with `right` in its name.
     #[param(default = "", reopen)]
     pub right: String,
-    /// Topic of depth. Empty takes the first picture topic with `depth` in its name.
+    /// Topic of depth. Empty: the first image topic with `depth` in its name.
     #[param(default = "", reopen)]
     pub depth: String,
-    /// Topic of disparity; empty takes the first one. So do the next ones.
+    /// Topic of disparity. Empty: the first one.
     #[param(default = "", reopen)]
     pub disparity: String,
-    /// Topic of points.
+    /// Topic of points. Empty: the first one.
     #[param(default = "", reopen)]
     pub cloud: String,
-    /// Topic of boxes.
+    /// Topic of boxes. Empty: the first one.
     #[param(default = "", reopen)]
     pub detections: String,
-    /// Topic of poses.
+    /// Topic of poses. Empty: the first one.
     #[param(default = "", reopen)]
     pub pose: String,
-    /// Topic of joints.
+    /// Topic of joints. Empty: the first one.
     #[param(default = "", reopen)]
     pub joints: String,
-    /// Views whose stamps are further apart are no pair.
+    /// Maximum difference of the stamps of two views of a pair.
     #[param(default = 5.0, range = 0.0..=1000.0, unit = "ms", reopen)]
     pub tolerance_ms: f64,
     /// Bit depth of images with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
@@ -48,7 +48,7 @@ pub struct Settings {
     pub bit_depth: u32,
 }
 
-/// The topics that are read, by what is named and what the bag has.
+/// The topics to read, from the named ones and those that the bag has.
 fn roles(params: &Settings, topics: &[BagTopic]) -> Result<Vec<(String, Role)>> {
     let is_picture = |message: &str| [messages::Image::TYPE, messages::CompressedImage::TYPE].contains(&message);
     let pictures: Vec<&BagTopic> = topics.iter().filter(|topic| is_picture(&topic.message)).collect();
@@ -84,7 +84,7 @@ fn roles(params: &Settings, topics: &[BagTopic]) -> Result<Vec<(String, Role)>> 
         return Err(NodeError::new(format!("the bag has no topic `{missing}`; it has {all}")));
     }
     if roles.is_empty() {
-        return Err(NodeError::new("the bag has no topic of a type that is read here"));
+        return Err(NodeError::new("the bag has no topic of a supported type"));
     }
     let views = roles.iter().filter_map(|(topic, role)| match role {
         Role::View(view) => Some((info_topic(topic)?, Role::Info(*view))),
@@ -95,33 +95,33 @@ fn roles(params: &Settings, topics: &[BagTopic]) -> Result<Vec<(String, Role)>> 
     Ok(roles)
 }
 
-/// See the module.
+/// The `ros2_bag` node.
 pub struct Bag {
     path: PathBuf,
     reader: BagReader,
     incoming: Incoming,
-    /// Ticks so far, for a successor that goes on.
+    /// Number of ticks so far; a replacement continues there.
     ticks: u64,
-    /// Ticks that a predecessor made.
+    /// Number of ticks that the predecessor made.
     skip: u64,
-    /// Messages that could not be read.
+    /// Number of messages that could not be read.
     left_out: u64,
-    /// What was wrong with the last of them.
+    /// Error of the last such message.
     last_error: Option<NodeError>,
-    /// The first message whose bytes are damaged.
+    /// The first damaged message.
     damage: Option<String>,
 }
 
-/// Another attempt would read the same bytes.
+/// Makes the error lasting: another attempt would read the same bytes.
 fn wrong(error: BagError) -> NodeError {
     NodeError::lasting(error.to_string())
 }
 
 impl Bag {
-    /// What a message completes.
+    /// Takes a message and returns what it completes.
     ///
     /// # Errors
-    /// It cannot be read; the next one can.
+    /// The message cannot be read; reading can continue with the next one.
     fn take(&mut self, message: &RawMessage, out: &Out<'_>) -> Result<Option<(i64, Ready)>> {
         let named = |words: String| NodeError::lasting(format!("{}: {words}", self.path.display()));
         let RawMessage { topic, message, log_ns, data } = message;
@@ -140,7 +140,7 @@ impl Bag {
     /// Ends the source and reports what was not played.
     ///
     /// # Errors
-    /// Nothing could be read, or, in batch mode, a message is damaged or most images found no partner.
+    /// Nothing could be read, or, in batch mode, a message is damaged or most images have no partner.
     fn end(&mut self, cx: &Context<'_>, params: &Settings) -> Result<()> {
         if self.ticks == 0
             && let Some(error) = self.last_error.take()
@@ -148,7 +148,7 @@ impl Bag {
             return Err(error);
         }
         if let Some(damage) = self.damage.take().filter(|_| cx.is_batch()) {
-            return Err(NodeError::ended_early(format!("{damage}; what is whole was played")));
+            return Err(NodeError::ended_early(format!("{damage}; all undamaged messages were played")));
         }
         let alone = self.incoming.without_partner();
         if alone > 0 {
@@ -170,7 +170,7 @@ impl Node for Bag {
     const INFO: NodeInfo = NodeInfo::blocking(
         "ros2_bag",
         "ros2",
-        "Plays a bag of ROS 2: pictures in pairs with their cameras, depth, disparity, points, boxes, poses, joints.",
+        "Plays a bag of ROS 2: images in pairs with their cameras, depth, disparity, points, boxes, poses, joints.",
     )
     .source();
     type In<'f> = NoPorts;
@@ -179,7 +179,11 @@ impl Node for Bag {
 
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         if params.path.trim().is_empty() {
-            return check.error("path", "no bag is given", "give its folder, as in path = \"/data/run1\"");
+            return check.error(
+                "path",
+                "`path` is empty: no bag is given",
+                "give its folder, as in path = \"/data/run1\"",
+            );
         }
         let path = check.graph_dir().join(params.path.trim());
         let topics = match survey(&path) {
@@ -212,7 +216,7 @@ impl Node for Bag {
                 Ok(Some(message)) => message,
                 Ok(None) => return self.end(cx, params),
                 Err(error @ BagError::CutOff { .. }) => {
-                    cx.warn(&format!("{error}; what came before was played"));
+                    cx.warn(&format!("{error}; the messages before it were played"));
                     return self.end(cx, params);
                 }
                 Err(error) => return Err(wrong(error)),
@@ -250,7 +254,7 @@ impl Node for Bag {
 
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
         let ticks = state.try_into().map(u64::from_le_bytes);
-        self.skip = ticks.map_err(|_| NodeError::new("the state is that of another node"))?;
+        self.skip = ticks.map_err(|_| NodeError::new("the saved state belongs to another node"))?;
         Ok(())
     }
 }

@@ -1,4 +1,4 @@
-//! DDS: participants, readers and writers of messages that are encoded already.
+//! DDS: participants, and readers and writers of encoded messages.
 
 use std::net::Ipv4Addr;
 use std::os::fd::BorrowedFd;
@@ -19,52 +19,35 @@ use crate::Networks;
 
 /// First port of domain 0.
 const FIRST_PORT: u16 = 7400;
-/// Ports of a domain.
+/// Number of ports per domain.
 const PORTS: u16 = 250;
-/// Highest domain whose ports exist.
+/// Highest domain that has valid ports.
 pub const MAX_DOMAIN: u16 = 232;
 
-/// Why DDS is not there.
+/// Why DDS cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum DdsError {
-    /// A participant cannot be made.
-    #[error("domain {domain} of DDS cannot be joined: {words}")]
-    Join {
-        /// The domain.
-        domain: u16,
-        /// Why.
-        words: String,
-    },
-    /// A socket is not confined to this machine.
-    #[error("the sockets of DDS cannot be bound to the loopback device: {words}; `networks = \"all\"` does without")]
-    Confine {
-        /// Why.
-        words: String,
-    },
-    /// A topic cannot be made.
-    #[error("topic `{topic}`: {words}")]
-    Topic {
-        /// Its name.
-        topic: String,
-        /// Why.
-        words: String,
-    },
+    /// The domain cannot be joined.
+    #[error("cannot join DDS domain {domain}: {words}")]
+    Join { domain: u16, words: String },
+    /// A socket cannot be restricted to this machine.
+    #[error("cannot bind the sockets of DDS to the loopback device: {words}; `networks = \"all\"` does not need that")]
+    Confine { words: String },
+    /// A topic cannot be created.
+    #[error("cannot create topic `{topic}`: {words}")]
+    Topic { topic: String, words: String },
     /// A message cannot be encoded or sent.
     #[error("topic `{topic}`: a message was not sent: {words}")]
-    Send {
-        /// The topic.
-        topic: String,
-        /// Why.
-        words: String,
-    },
+    Send { topic: String, words: String },
 }
 
-/// How messages are delivered.
+/// Quality of service of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quality {
-    /// Lost messages are sent again.
+    /// Whether lost messages are sent again.
     pub is_reliable: bool,
-    /// Messages that are kept for slow readers.
+    /// Number of messages that are kept for slow readers.
     pub depth: u16,
 }
 
@@ -83,15 +66,15 @@ impl Quality {
     }
 }
 
-/// An encoded message: the number of its encoding, and the fields.
+/// An encoded message: the identifier of its encoding, and the fields.
 pub struct Encoded {
-    /// As in the head of CDR.
+    /// Identifier of the encoding, as in the CDR header.
     pub number: u16,
-    /// The fields.
+    /// The encoded fields.
     pub body: Bytes,
 }
 
-/// Hands on encoded messages.
+/// Passes encoded messages through unchanged.
 pub struct Plain;
 
 impl SerializerAdapter<Encoded> for Plain {
@@ -119,7 +102,7 @@ impl DeserializerAdapter<Encoded> for Plain {
     }
 }
 
-/// See [`Plain`].
+/// Decoder of [`Plain`]: copies the bytes.
 #[derive(Clone)]
 pub struct CopyDecoder;
 
@@ -148,7 +131,7 @@ impl TopicWriter {
     /// Sends a message.
     ///
     /// # Errors
-    /// It cannot be encoded or sent.
+    /// The message cannot be encoded or sent.
     pub fn send<M: Message + Serialize>(&self, message: &M) -> Result<(), DdsError> {
         let failed = |words: String| DdsError::Send { topic: self.topic.clone(), words };
         let body = cdr::encode_body(message).map_err(|error| failed(error.to_string()))?;
@@ -159,7 +142,7 @@ impl TopicWriter {
 /// A reader of one topic.
 pub type TopicReader = DataReader<Encoded, Plain>;
 
-/// A member of a domain.
+/// A participant in a domain.
 pub struct Member {
     participant: DomainParticipant,
     publisher: Publisher,
@@ -170,7 +153,7 @@ impl Member {
     /// Joins a domain.
     ///
     /// # Errors
-    /// There are no sockets, or they cannot be confined.
+    /// There are no sockets, or they cannot be restricted to this machine.
     pub fn join(domain: u16, networks: Networks) -> Result<Self, DdsError> {
         let failed = |words: String| DdsError::Join { domain, words };
         let mut builder = DomainParticipantBuilder::new(domain);
@@ -194,10 +177,10 @@ impl Member {
             .map_err(|error| DdsError::Topic { topic: topic.to_owned(), words: error.to_string() })
     }
 
-    /// A writer of messages `M`.
+    /// Creates a writer of messages `M`.
     ///
     /// # Errors
-    /// The topic cannot be made.
+    /// The topic cannot be created.
     pub fn writer<M: Message>(&self, topic: &str, quality: Quality) -> Result<TopicWriter, DdsError> {
         let failed = |words: String| DdsError::Topic { topic: topic.to_owned(), words };
         let dds = self.topic(topic, M::TYPE, quality)?;
@@ -205,10 +188,10 @@ impl Member {
         Ok(TopicWriter { topic: topic.to_owned(), writer })
     }
 
-    /// A reader of messages of the type `message`.
+    /// Creates a reader of messages of the type `message`.
     ///
     /// # Errors
-    /// The topic cannot be made.
+    /// The topic cannot be created.
     pub fn reader(&self, topic: &str, message: &str, quality: Quality) -> Result<TopicReader, DdsError> {
         let failed = |words: String| DdsError::Topic { topic: topic.to_owned(), words };
         let dds = self.topic(topic, message, quality)?;
@@ -216,7 +199,7 @@ impl Member {
     }
 }
 
-/// Binds the sockets of a domain to the loopback device: rustdds listens on all addresses, whatever networks it announces itself on.
+/// Binds the sockets of a domain to the loopback device. rustdds itself listens on all addresses, whatever networks it announces.
 fn confine(domain: u16) -> Result<(), DdsError> {
     let failed = |words: String| DdsError::Confine { words };
     let ports = FIRST_PORT + PORTS * domain..FIRST_PORT + PORTS * domain + PORTS;
@@ -236,7 +219,7 @@ fn confine(domain: u16) -> Result<(), DdsError> {
         }
     }
     if bound == 0 {
-        return Err(failed("none of them was found".to_owned()));
+        return Err(failed("none of its sockets was found".to_owned()));
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! From messages to outputs, for bags and topics alike.
+//! Converts messages to outputs, for bags and topics alike.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -12,17 +12,17 @@ use panoscope_ros::messages;
 
 use crate::times::Times;
 
-/// Pictures of a view that wait for their partner.
+/// Maximum number of images of a view that wait for their partner.
 const MAX_WAITING: usize = 8;
 
-/// Outputs. A tick has what came together: both views of one instant, or one message of another topic.
+/// Outputs. A tick contains what belongs together: both views of one instant, or one message of another topic.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Left view, or the only one.
     pub left: Slot<'f, Bgr8>,
     /// Right view of the same instant.
     pub right: Slot<'f, Bgr8>,
-    /// Both cameras, with every picture, as soon as both camera_info topics had a message.
+    /// Both cameras, with every image, once both camera_info topics had a message.
     pub calibration: Slot<'f, Calibration>,
     /// Depth of the left rectified view, mm; NaN where unknown.
     pub depth: Slot<'f, Depth>,
@@ -30,7 +30,7 @@ pub struct Out<'f> {
     pub disparity: Slot<'f, Disparity>,
     /// Points, mm, in the frame of the message.
     pub cloud: Slot<'f, PointCloud>,
-    /// Boxes.
+    /// Detected boxes.
     pub detections: Slot<'f, LabeledDetections>,
     /// A pose, mm.
     pub pose: Slot<'f, Pose>,
@@ -38,24 +38,24 @@ pub struct Out<'f> {
     pub joints: Slot<'f, Joints>,
 }
 
-/// What the messages of a topic become.
+/// Output that the messages of a topic become.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
-    /// View 0 or 1.
+    /// Image of view 0 or 1.
     View(usize),
     /// Camera of view 0 or 1.
     Info(usize),
-    /// `depth`.
+    /// Output `depth`.
     Depth,
-    /// `disparity`.
+    /// Output `disparity`.
     Disparity,
-    /// `cloud`.
+    /// Output `cloud`.
     Cloud,
-    /// `detections`.
+    /// Output `detections`.
     Detections,
-    /// `pose`.
+    /// Output `pose`.
     Pose,
-    /// `joints`.
+    /// Output `joints`.
     Joints,
 }
 
@@ -76,7 +76,7 @@ impl Role {
 }
 
 impl Role {
-    /// Whether somebody reads what its messages become.
+    /// Whether the output of this role is read.
     fn is_read(self, out: &Out<'_>) -> bool {
         match self {
             // A view is also the partner of the other one.
@@ -92,13 +92,13 @@ impl Role {
     }
 }
 
-/// Where the camera of a picture's topic is: beside it.
+/// Topic of the camera of an image topic: camera_info in the same namespace.
 pub fn info_topic(picture: &str) -> Option<String> {
     let plain = picture.strip_suffix("/compressed").unwrap_or(picture);
     plain.rsplit_once('/').map(|(namespace, _)| format!("{namespace}/camera_info"))
 }
 
-/// What came together.
+/// Data of a completed tick.
 pub enum Ready {
     /// Both views, or one.
     Views(Vec<Picture>),
@@ -116,18 +116,18 @@ pub enum Ready {
     Joints(Joints),
 }
 
-/// A message as it came.
+/// A message as received.
 #[derive(Clone, Copy, Debug)]
 pub struct Arrived<'m> {
-    /// Its topic.
+    /// Name of the topic.
     pub topic: &'m str,
-    /// Its type.
+    /// Type of the message.
     pub message: &'m str,
     /// When it was recorded or received, ns.
     pub log_ns: i64,
-    /// Number of its encoding.
+    /// Identifier of its encoding.
     pub encoding: u16,
-    /// Its fields.
+    /// Its encoded fields.
     pub body: &'m [u8],
 }
 
@@ -140,23 +140,14 @@ impl<'m> Arrived<'m> {
 
 /// Why a message was left out.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum IncomingError {
-    /// The bytes are no message.
+    /// The bytes are malformed.
     #[error("`{topic}`: {cause}")]
-    Bytes {
-        /// The topic.
-        topic: String,
-        /// What is wrong.
-        cause: CdrError,
-    },
-    /// The message has no packet.
+    Bytes { topic: String, cause: CdrError },
+    /// The message cannot be converted to a packet.
     #[error("`{topic}`: {cause}")]
-    Value {
-        /// The topic.
-        topic: String,
-        /// What is wrong.
-        cause: ConvertError,
-    },
+    Value { topic: String, cause: ConvertError },
 }
 
 /// Collects messages until a tick is complete.
@@ -169,9 +160,9 @@ pub struct Incoming {
     calibration: Option<Calibration>,
     /// Why there is no calibration; reported once.
     calibration_problem: Option<String>,
-    /// Images without a partner.
+    /// Number of images without a partner.
     pub unpaired: u64,
-    /// Images with one.
+    /// Number of images with a partner.
     pub paired: u64,
     times: Times,
     white: White,
@@ -182,8 +173,8 @@ pub struct Incoming {
 }
 
 impl Incoming {
-    /// Reads topics with these roles. Views that are further apart than the tolerance do not belong together. `bit_depth` is that of images with
-    /// more than eight bits, 0 if it is to be found.
+    /// Reads topics with these roles. Views that are further apart than the tolerance are not paired. `bit_depth` applies to images of more than
+    /// eight bits; 0 finds it from the values.
     pub fn new(roles: impl IntoIterator<Item = (String, Role)>, tolerance_ms: f64, bit_depth: u32) -> Self {
         let roles: HashMap<String, Role> = roles.into_iter().filter(|(topic, _)| !topic.is_empty()).collect();
         let is_pair = [0, 1].iter().all(|view| roles.values().any(|role| *role == Role::View(*view)));
@@ -221,7 +212,7 @@ impl Incoming {
     /// Takes a message whose outputs are read. Returns the time of its data and what is complete now.
     ///
     /// # Errors
-    /// It is damaged, or not readable here; what came before stays.
+    /// The message is damaged or of an unsupported encoding; earlier data are kept.
     pub fn take(
         &mut self,
         arrived: Arrived<'_>,
@@ -286,7 +277,7 @@ impl Incoming {
         time_ns
     }
 
-    /// Takes the camera of a view. One that cannot be used takes the calibration, not the images.
+    /// Takes the camera of a view. A camera that cannot be used disables the calibration, not the images.
     fn camera(&mut self, view: usize, info: std::result::Result<camera::CameraInfo, ConvertError>) {
         match info {
             Ok(info) if self.infos[view] == Some(info) => {}
@@ -301,7 +292,7 @@ impl Incoming {
         }
     }
 
-    /// Pairs a picture with the nearest one of the other view.
+    /// Pairs an image with the nearest one of the other view.
     fn view(&mut self, view: usize, stamp_ns: i64, picture: Picture) -> Option<(i64, Ready)> {
         if !self.is_pair {
             return Some((stamp_ns, Ready::Views(vec![picture])));
@@ -347,12 +338,12 @@ impl Incoming {
         }
     }
 
-    /// Images of both views that found no partner, those that still wait among them.
+    /// Number of images of both views without a partner, including those that still wait.
     pub fn without_partner(&self) -> u64 {
         self.unpaired + self.waiting.iter().map(|waiting| waiting.len() as u64).sum::<u64>()
     }
 
-    /// Sets the time of a tick. Times that do not grow become the next nanosecond, because ticks of a source follow each other.
+    /// Sets the time of a tick. A time that does not increase becomes the next nanosecond, because ticks of a source follow each other.
     pub fn set_time(&mut self, cx: &Context<'_>, stamp_ns: i64) {
         let capture_ns = self.last_ns.map_or(stamp_ns, |last| stamp_ns.max(last.saturating_add(1)));
         self.last_ns = Some(capture_ns);
@@ -366,12 +357,12 @@ impl Incoming {
         cx.set_capture_ns(next);
     }
 
-    /// Warns of what was found since the last call.
+    /// Logs the warnings since the last call.
     pub fn report(&mut self, cx: &Context<'_>) {
         self.remarks.drain(..).for_each(|remark| cx.warn(&remark));
     }
 
-    /// The value that is white in these views.
+    /// White level of these views.
     fn white(&mut self, cx: &Context<'_>, views: &[Picture]) -> Result<f32> {
         let deep =
             views.iter().zip(["the left image", "the right image"]).filter_map(|(view, name)| match &view.samples {
@@ -391,10 +382,10 @@ impl Incoming {
         Ok(white)
     }
 
-    /// Writes outputs that are read.
+    /// Writes the outputs that are read.
     ///
     /// # Errors
-    /// No frame memory is left.
+    /// The host has no frame memory left.
     pub fn write(&mut self, cx: &Context<'_>, ready: Ready, out: &mut Out<'_>) -> Result<()> {
         match ready {
             Ready::Views(views) => {
@@ -451,7 +442,7 @@ impl Incoming {
     }
 }
 
-/// Writes a picture as BGR; `white` is the value of 16 bits that becomes 255.
+/// Writes an image as BGR; `white` is the value of 16 bits that becomes 255.
 fn write_picture(slot: &mut Slot<'_, Bgr8>, picture: &Picture, white: f32) -> Result<()> {
     let gray = |out: &mut dyn Iterator<Item = u8>, to: &mut [u8]| {
         to.as_chunks_mut::<3>().0.iter_mut().zip(out).for_each(|(pixel, value)| *pixel = [value; 3]);
@@ -465,7 +456,7 @@ fn write_picture(slot: &mut Slot<'_, Bgr8>, picture: &Picture, white: f32) -> Re
             gray(&mut pixels.iter().map(|value| (f32::from(*value) * (255.0 / white) + 0.5) as u8), out.data);
         }
         Samples::F32(_) => {
-            return Err(NodeError::new("a picture of floats is no view: read its topic as `depth`"));
+            return Err(NodeError::new("an image of floats cannot be a view: set its topic as `depth`"));
         }
     }
     Ok(())

@@ -1,12 +1,11 @@
-//! Topics of ROS 2 in and out without a ROS installation, and bags.
+//! Sends and receives topics of ROS 2 without a ROS installation, and plays bags.
 //!
-//! The nodes speak DDS, which is what `rmw_fastrtps` and `rmw_cyclonedds` speak: every ROS 2 program on the network sees their topics without a
-//! bridge. `rustdds` does it in Rust alone. The alternatives were weighed: `ros2-client` is `rustdds` with nodes, services and actions, of which
-//! topics need nothing; zenoh's bridge for ROS 2 is another process that has to run beside every ROS program, and `rmw_zenoh` reaches only programs
-//! that have it.
+//! The nodes speak DDS, as `rmw_fastrtps` and `rmw_cyclonedds` do: every ROS 2 program on the network sees their topics without a bridge. `rustdds`
+//! implements it in Rust alone. Alternatives: `ros2-client` is `rustdds` with nodes, services and actions, which topics do not need; zenoh's bridge
+//! for ROS 2 is another process that must run next to every ROS program, and `rmw_zenoh` reaches only programs that use it.
 //!
-//! Unless `networks` says otherwise, sockets are bound to the loopback device, so that the kernel hands them no packet of another machine.
-//! Messages with pixels are encoded and decoded without a copy per byte; see [`panoscope_ros`].
+//! Unless `networks` says otherwise, sockets are bound to the loopback device, so that the kernel passes them no packet of another machine. Messages
+//! with pixels are encoded and decoded without a copy per byte; see [`panoscope_ros`].
 
 pub mod bag;
 mod dds;
@@ -22,8 +21,8 @@ export_plugin![publish::Publish, subscribe::Subscribe, bag::Bag];
 /// Which machines can be reached.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Networks {
-    /// Programs of this machine only.
+    /// Only programs of this machine.
     Loopback,
-    /// Whoever is on a network of this machine. DDS has no password: whoever reaches it sees the topics and can send to them.
+    /// All machines on the networks of this machine. DDS has no password: whoever reaches it can read the topics and send to them.
     All,
 }

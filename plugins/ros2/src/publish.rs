@@ -1,4 +1,4 @@
-//! `ros2_publish`: inputs as topics of ROS 2.
+//! `ros2_publish`: publishes its inputs as topics of ROS 2.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -15,7 +15,7 @@ use panoscope_ros::names;
 use crate::Networks;
 use crate::dds::{DdsError, MAX_DOMAIN, Member, Quality, TopicWriter};
 
-/// Inputs: what is wired is published.
+/// Inputs: each connected one is published.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Left view, as `left/image_raw`.
@@ -38,33 +38,33 @@ pub struct In<'f> {
     pub joints: Option<Value<'f, Joints>>,
 }
 
-/// How pictures are sent.
+/// How images are sent.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pictures {
-    /// As they are.
+    /// Uncompressed.
     Raw,
     /// As JPEG, on `left/image_raw/compressed`.
     Jpeg,
-    /// Both.
+    /// Both: uncompressed and as JPEG.
     Both,
 }
 
-/// What stamps count from.
+/// Origin of the stamps.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stamps {
-    /// 1970: the time of day at the first tick, from there on by capture times.
+    /// 1970: the time of day at the first tick, then advanced by capture times.
     Clock,
-    /// Capture times as they are.
+    /// Capture times unchanged.
     Capture,
 }
 
-/// Parameters.
+/// Parameters of `ros2_publish`.
 #[derive(Params)]
 pub struct Settings {
-    /// Before the name of every topic.
+    /// Prefix of the name of every topic.
     #[param(default = "/panoscope", reopen)]
     pub namespace: String,
-    /// Domain of DDS, ROS_DOMAIN_ID of the others.
+    /// DDS domain, the ROS_DOMAIN_ID of other programs.
     #[param(default = 0, range = 0..=232, reopen)]
     pub domain: u16,
     /// Which machines can be reached.
@@ -73,18 +73,18 @@ pub struct Settings {
     /// Sends lost messages again; readers may still ask for best effort.
     #[param(default = true, reopen)]
     pub reliable: bool,
-    /// Messages of each topic that are kept for slow readers.
+    /// Number of messages per topic that are kept for slow readers.
     #[param(default = 5, range = 1..=100, reopen)]
     pub queue: u16,
-    /// How pictures of 8 bits are sent.
+    /// How 8-bit images are sent.
     #[param(default = "raw", reopen)]
     pub pictures: Pictures,
-    /// What stamps count from.
+    /// Origin of the stamps.
     #[param(default = "clock", reopen)]
     pub stamps: Stamps,
 }
 
-/// Writers, each made when its input has its first packet.
+/// Writers; each is created when its input has its first packet.
 #[derive(Default)]
 struct Writers {
     views: [Option<TopicWriter>; 2],
@@ -98,7 +98,7 @@ struct Writers {
     joints: Option<TopicWriter>,
 }
 
-/// See the module.
+/// The `ros2_publish` node.
 pub struct Publish {
     member: Member,
     writers: Writers,
@@ -106,7 +106,7 @@ pub struct Publish {
     quality: Quality,
     pictures: Pictures,
     stamps: Stamps,
-    /// From capture times to stamps.
+    /// Offset from capture times to stamps, ns.
     offset_ns: Option<i64>,
 }
 
@@ -122,7 +122,7 @@ fn wrong(error: impl std::fmt::Display) -> NodeError {
     NodeError::new(error.to_string())
 }
 
-/// The writer in its place, made when it is needed first.
+/// The writer in this field, created on first use.
 fn made<'w, M: panoscope_ros::cdr::Message>(
     place: &'w mut Option<TopicWriter>,
     (member, namespace, quality): (&Member, &str, Quality),
@@ -138,7 +138,7 @@ impl Node for Publish {
     const INFO: NodeInfo = NodeInfo::blocking(
         "ros2_publish",
         "ros2",
-        "Publishes pictures, cameras, depth, disparity, points, boxes, poses and joints as topics of ROS 2.",
+        "Publishes images, cameras, depth, disparity, points, boxes, poses and joints as topics of ROS 2.",
     )
     .side_effects();
     type In<'f> = In<'f>;
@@ -148,7 +148,10 @@ impl Node for Publish {
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         if names::sanitized(&params.namespace) != params.namespace.trim_start_matches('/') {
             let fixed = format!("write \"/{}\"", names::sanitized(&params.namespace));
-            let words = format!("`{}` is no name of ROS: letters, digits and `_`, divided by `/`", params.namespace);
+            let words = format!(
+                "`{}` is not a valid ROS name: use letters, digits and `_`, separated by `/`",
+                params.namespace
+            );
             check.error("namespace", words, &fixed);
         }
     }
@@ -156,7 +159,7 @@ impl Node for Publish {
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let member = Member::join(params.domain.min(MAX_DOMAIN), params.networks).map_err(wrong)?;
         if params.networks == Networks::All {
-            open.warn("other machines can reach this domain; whoever does sees the topics");
+            open.warn("other machines can reach this domain and read the topics");
         }
         let name = names::sanitized(&params.namespace);
         let namespace = if name.is_empty() { String::new() } else { format!("/{name}") };
@@ -233,7 +236,8 @@ impl Node for Publish {
 }
 
 impl Publish {
-    /// From capture times to stamps. The clock is read once: intervals are those of capture times, and nothing of the graph depends on it.
+    /// Offset from capture times to stamps, ns. The clock is read once: intervals are those of capture times, and nothing in the graph depends on the
+    /// clock.
     fn offset(&mut self, capture_ns: i64) -> i64 {
         match self.stamps {
             Stamps::Capture => 0,

@@ -1,4 +1,4 @@
-//! `ros2_subscribe`: topics of ROS 2 as outputs.
+//! `ros2_subscribe`: receives topics of ROS 2.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -9,16 +9,16 @@ use crate::dds::{Encoded, MAX_DOMAIN, Member, Quality, TopicReader};
 pub use crate::incoming::Out;
 use crate::incoming::{Arrived, Incoming, Role, info_topic};
 
-/// Between two looks at the readers.
+/// Polling interval of the readers.
 const STEP: Duration = Duration::from_millis(2);
-/// Longest wait of one call: a tick without data follows.
+/// Maximum wait of one call; a tick without data follows.
 const MAX_WAIT: Duration = Duration::from_millis(200);
 
-/// Parameters.
+/// Parameters of `ros2_subscribe`.
 #[derive(Params)]
 pub struct Settings {
-    /// Topic of the left view, such as /camera/left/image_raw, or of the only one; one that ends with /compressed has JPEG or PNG. Its camera is read
-    /// from camera_info beside it.
+    /// Topic of the left view, such as /camera/left/image_raw, or of the only one. A topic that ends with /compressed has JPEG or PNG. Its camera is
+    /// read from camera_info in the same namespace.
     #[param(default = "", reopen)]
     pub left: String,
     /// Topic of the right view.
@@ -42,22 +42,22 @@ pub struct Settings {
     /// Topic of a JointState.
     #[param(default = "", reopen)]
     pub joints: String,
-    /// Views whose stamps are further apart are no pair.
+    /// Maximum difference of the stamps of two views of a pair.
     #[param(default = 5.0, range = 0.0..=1000.0, unit = "ms", reopen)]
     pub tolerance_ms: f64,
     /// Bit depth of images with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
     #[param(default = 0, range = 0..=16, reopen)]
     pub bit_depth: u32,
-    /// Domain of DDS, ROS_DOMAIN_ID of the others.
+    /// DDS domain, the ROS_DOMAIN_ID of other programs.
     #[param(default = 0, range = 0..=232, reopen)]
     pub domain: u16,
     /// Which machines can be reached.
     #[param(default = "loopback", reopen)]
     pub networks: Networks,
-    /// Asks for lost messages again; publishers of best effort do not match then.
+    /// Requests lost messages again; publishers of best effort do not match then.
     #[param(default = false, reopen)]
     pub reliable: bool,
-    /// Messages of each topic that wait.
+    /// Maximum number of waiting messages per topic.
     #[param(default = 5, range = 1..=100, reopen)]
     pub queue: u16,
 }
@@ -82,17 +82,17 @@ impl Settings {
     }
 }
 
-/// A topic from the root.
+/// The topic with a leading slash.
 fn absolute(topic: &str) -> String {
     let topic = topic.trim();
     if topic.is_empty() || topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") }
 }
 
-/// See the module.
+/// The `ros2_subscribe` node.
 pub struct Subscribe {
     readers: Vec<(String, &'static str, TopicReader)>,
     incoming: Incoming,
-    /// Reader that is asked first: no topic starves another.
+    /// Reader that is polled first, in turn, so that no topic starves another.
     first: usize,
     left_out: u64,
     // Readers belong to it.
@@ -103,7 +103,7 @@ impl Node for Subscribe {
     const INFO: NodeInfo = NodeInfo::blocking(
         "ros2_subscribe",
         "ros2",
-        "Receives pictures, cameras, depth, disparity, points, boxes, poses and joints from topics of ROS 2.",
+        "Receives images, cameras, depth, disparity, points, boxes, poses and joints from topics of ROS 2.",
     )
     .source();
     type In<'f> = NoPorts;
@@ -124,7 +124,7 @@ impl Node for Subscribe {
         let wrong = |error: crate::dds::DdsError| NodeError::new(error.to_string());
         let member = Member::join(params.domain.min(MAX_DOMAIN), params.networks).map_err(wrong)?;
         if params.networks == Networks::All {
-            open.warn("other machines can reach this domain; whoever does can send to these topics");
+            open.warn("other machines can reach this domain and send to these topics");
         }
         let quality = Quality { is_reliable: params.reliable, depth: params.queue };
         let incoming = Incoming::new(roles, params.tolerance_ms, params.bit_depth);

@@ -1,11 +1,11 @@
-//! The time of a message: its stamp, or when it was recorded where the stamp cannot be true.
+//! Time of a message: its stamp, or the time at which it was recorded if the stamp is implausible.
 
 use std::collections::HashMap;
 
-/// Messages of a topic may overtake each other by this much. A larger step back is a clock that was set, or a simulation that began again.
+/// Messages of a topic may overtake each other by this much. A larger step back is a clock that was set, or a simulation that restarted.
 const MAX_REORDER_NS: i64 = 100_000_000;
 
-/// Stamps of a topic.
+/// Newest stamp and recording time of a topic.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     stamp_ns: i64,
@@ -16,21 +16,20 @@ struct Last {
 #[derive(Debug, Default)]
 pub struct Times {
     last: HashMap<String, Last>,
-    /// Stamps are not used any more.
+    /// Whether stamps are no longer used.
     uses_log: bool,
-    /// Added to stamps, so that time goes on where they stepped back.
+    /// Added to stamps, so that time does not step back with them.
     offset_ns: i64,
 }
 
 impl Times {
-    /// Time of a message by its stamp and by the time at which it was recorded, and what is to be said about it, once for each cause.
+    /// Time of a message from its stamp and recording time, and a warning, once for each cause.
     pub fn of(&mut self, topic: &str, stamp_ns: i64, log_ns: i64) -> (i64, Option<String>) {
         let mut remark = None;
         if stamp_ns == 0 && !self.uses_log {
             self.uses_log = true;
-            remark = Some(format!(
-                "messages of `{topic}` have no time: the times at which they were recorded are used for all topics"
-            ));
+            remark =
+                Some(format!("messages of `{topic}` have no timestamp: the recording times are used for all topics"));
         }
         if self.uses_log {
             return (log_ns, remark);
@@ -44,7 +43,7 @@ impl Times {
             self.offset_ns = before_ns.saturating_add(since_ns).saturating_sub(stamp_ns);
             self.last.retain(|other, _| other == topic);
             remark = Some(format!(
-                "the times of `{topic}` step back by {back_ms:.0} ms: they go on by the times at which the messages were recorded"
+                "the timestamps of `{topic}` step back by {back_ms:.0} ms: they continue by the recording times"
             ));
         }
         (stamp_ns.saturating_add(self.offset_ns), remark)

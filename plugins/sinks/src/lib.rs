@@ -1,7 +1,7 @@
 //! Writers of images, videos, tables and raw data, and live video on the network.
 //!
-//! Every writer is a node in a file of its own. [`formats`] has the bytes of each format, [`target`] what leads from a path parameter to a file:
-//! folders, `{seq}`, part files, errors with their help.
+//! Every writer is a node in a separate file. [`formats`] has the bytes of each format; [`target`] turns a path parameter into a file: folders,
+//! `{seq}`, part files, errors with help.
 
 #![forbid(unsafe_code)]
 

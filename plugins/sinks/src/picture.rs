@@ -1,9 +1,9 @@
-//! Pixels of an input whose format is known only when it arrives.
+//! Pixels of an input whose format is known only when a frame arrives.
 
 use panoscope_data::formats::Pixels;
 use panoscope_node::{AnyImage, Bgr8, Gray8, Gray16, GrayF32, Rgba8};
 
-/// The pixels of an image; `None` for formats that are no image.
+/// The pixels of an image; `None` for other packets.
 pub fn pixels_of<'a>(image: &AnyImage<'a>) -> Option<Pixels<'a>> {
     if let Some(plane) = image.as_plane::<Bgr8>() {
         return Some(Pixels::Bgr8(plane.view()));

@@ -4,10 +4,10 @@ use panoscope_node::{
     AnyImage, Bgr8, Context, Gray8, Gray16, GrayF32, NoPorts, Node, NodeInfo, Open, Ports, Result, Retained, Rgba8,
 };
 
-/// Inputs.
+/// Input ports of `preview`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture to show.
+    /// The image to show.
     pub image: AnyImage<'f>,
 }
 
@@ -22,8 +22,7 @@ enum Held {
     F32(Retained<GrayF32>),
 }
 
-/// Holds the newest frame, so that a viewer can show it at its own pace. Never more than two frames are held, and only
-/// while one replaces the other.
+/// Holds the newest frame, so that a viewer can show it at its own pace. Holds at most two frames, and two only while one replaces the other.
 #[derive(Default)]
 pub struct Preview {
     held: Held,
@@ -31,7 +30,7 @@ pub struct Preview {
 }
 
 impl Preview {
-    /// Width and height in px of the frame that is held.
+    /// Width and height of the held frame, px.
     pub fn held_size(&self) -> Option<(u32, u32)> {
         let frame = match &self.held {
             Held::Nothing => return None,

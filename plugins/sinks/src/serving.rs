@@ -1,54 +1,41 @@
-//! What nodes that serve video over the network share: paths, and errors of listening.
+//! Shared by nodes that serve video over the network: paths, and errors of listening.
 
 use std::net::SocketAddr;
 
 /// Why a stream cannot be served.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum ServeError {
-    /// The address cannot be listened on.
+    /// The system does not allow listening on the address.
     #[error("cannot listen on {at}: {reason}; {help}")]
-    Listen {
-        /// Address and port.
-        at: SocketAddr,
-        /// The system's words.
-        reason: String,
-        /// What to do.
-        help: &'static str,
-    },
-    /// Another node serves this path.
+    Listen { at: SocketAddr, reason: String, help: &'static str },
+    /// Another node already serves this path.
     #[error("node `{node}` already serves `{path}` on {at}: give this node another `path`")]
-    Taken {
-        /// The other node.
-        node: String,
-        /// Path of both.
-        path: String,
-        /// Address and port.
-        at: SocketAddr,
-    },
+    Taken { node: String, path: String, at: SocketAddr },
 }
 
-/// What is wrong with a path of a stream.
+/// What is wrong with a path of a stream; `None` if nothing.
 pub fn path_problem(path: &str) -> Option<String> {
     if path.trim_matches('/').is_empty() {
         return Some("it is empty".to_owned());
     }
     let is_good = |c: char| c.is_ascii_alphanumeric() || "-_./~".contains(c);
     match path.chars().find(|&c| !is_good(c)) {
-        Some(' ') => Some("it has a space".to_owned()),
-        Some(other) => Some(format!("it has `{other}`")),
+        Some(' ') => Some("it contains a space".to_owned()),
+        Some(other) => Some(format!("it contains `{other}`")),
         None => None,
     }
 }
 
-/// Why the system refuses to listen, with what to do.
+/// Converts a refusal of the system to an error that says what to do.
 pub fn refused(at: SocketAddr, error: &std::io::Error) -> ServeError {
     let help = match error.kind() {
         std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",
         std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: see `ip address`",
         std::io::ErrorKind::PermissionDenied if (1..1024).contains(&at.port()) => {
-            "ports below 1024 need root: give a `port` above"
+            "ports below 1024 need root: choose a higher `port`"
         }
-        std::io::ErrorKind::PermissionDenied => "sockets are denied: take `network` out of the graph's `deny`",
+        std::io::ErrorKind::PermissionDenied => "sockets are denied: remove `network` from the graph's `deny`",
         _ => "give another `address` or `port`",
     };
     ServeError::Listen { at, reason: error.to_string(), help }

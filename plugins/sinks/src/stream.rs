@@ -1,4 +1,4 @@
-//! `stream`: the picture as a live video on the network.
+//! `stream`: sends its input as live video over the network.
 
 mod codec;
 pub(crate) mod fanout;
@@ -20,43 +20,43 @@ use push::{Push, Target};
 use server::Mount;
 use worker::Worker;
 
-/// Inputs.
+/// Input ports of `stream`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Pictures to send: bgr8, gray8 or rgba8.
+    /// Frames to send: bgr8, gray8 or rgba8.
     pub image: AnyImage<'f>,
 }
 
-/// Parameters.
+/// Parameters of `stream`.
 #[derive(Params)]
 pub struct Settings {
     /// Serves RTSP at rtsp://ADDRESS:PORT/PATH. Several `stream` nodes share a port with different paths.
     #[param(default = true, reopen)]
     pub serve: bool,
-    /// Address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees the
-    /// pictures: there is no password. 0.0.0.0 listens on all networks.
+    /// Address of this machine to listen on. 127.0.0.1 serves only programs on this machine. 0.0.0.0 listens on all networks. There is no password:
+    /// anybody who reaches the port sees the video.
     #[param(default = "127.0.0.1", reopen)]
     pub address: String,
-    /// TCP port to listen on; 0 takes a free one, which the log names.
+    /// TCP port to listen on. 0 takes a free port, which the log names.
     #[param(default = 8554, range = 0..=65535, reopen)]
     pub port: u16,
     /// Path of the stream on its server.
     #[param(default = "/live", reopen)]
     pub path: String,
-    /// How pictures are compressed.
+    /// Compression of the stream.
     #[param(default = "h264", reopen)]
     pub codec: StreamCodec,
-    /// Bit rate of `h264` and `hevc` at 30 pictures per second.
+    /// Bit rate of `h264` and `hevc` at 30 frames per second.
     #[param(default = 4000, range = 50..=100000, unit = "kbit/s", reopen)]
     pub bitrate: u32,
-    /// Distance of key frames of `h264` and `hevc`. A client that joins gets one at once; after a lost packet the picture is whole again with the
+    /// Distance of keyframes of `h264` and `hevc`. A client that joins gets one at once; after a lost packet the image is complete again with the
     /// next one.
     #[param(default = 30, range = 1..=1000, unit = "frames", reopen)]
     pub key_interval: u32,
     /// Quality of `mjpg`.
     #[param(default = 80, range = 1..=100, unit = "%", reopen)]
     pub quality: u8,
-    /// Address to send the stream to besides: rtsp://HOST:PORT/PATH, a server that takes recordings, or udp://HOST:PORT, as RTP packets. Empty:
+    /// Additional address to send the stream to: rtsp://HOST:PORT/PATH, a server that accepts recordings, or udp://HOST:PORT, as RTP packets. Empty:
     /// none.
     #[param(default = "", reopen)]
     pub push: String,
@@ -72,7 +72,7 @@ impl Settings {
         }
     }
 
-    /// The parameter that is wrong, what is wrong with it, and what to write.
+    /// Each wrong parameter, with what is wrong and what to write.
     fn mistakes(&self) -> Vec<(&'static str, String, &'static str)> {
         let mut mistakes = Vec::new();
         if self.serve {
@@ -82,7 +82,7 @@ impl Settings {
             }
             if let Some(problem) = path_problem(&self.path) {
                 let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
-                mistakes.push(("path", format!("`{}` is no path of a stream: {problem}", self.path), help));
+                mistakes.push(("path", format!("`{}` is not a valid path of a stream: {problem}", self.path), help));
             }
         }
         if !self.push.is_empty()
@@ -92,14 +92,14 @@ impl Settings {
         }
         if !self.serve && self.push.is_empty() {
             let help = "set `serve = true`, or give an address in `push`";
-            mistakes.push(("serve", "the stream goes nowhere".to_owned(), help));
+            mistakes.push(("serve", "the stream has no destination".to_owned(), help));
         }
         mistakes
     }
 }
 
-/// Sends the newest picture. The graph never waits for the network or the encoder: a picture that arrives while the one before is still being
-/// encoded replaces any that waits.
+/// Sends the newest frame. The graph never waits for the network or the encoder: a frame that arrives while the previous one is still being encoded
+/// replaces any waiting frame.
 pub struct Stream {
     /// Dropped before the worker, so that no client joins a stream that ends.
     mount: Option<Mount>,
@@ -111,7 +111,7 @@ pub struct Stream {
 
 impl Node for Stream {
     const INFO: NodeInfo =
-        NodeInfo::compute("stream", "sink", "Serves the picture as live video over RTSP, or sends it to a server.")
+        NodeInfo::compute("stream", "sink", "Serves its input as live video over RTSP, or sends it to a server.")
             .side_effects()
             .exclusive();
     type In<'f> = In<'f>;
@@ -158,7 +158,7 @@ impl Node for Stream {
             if error != self.push_error {
                 match &error {
                     Some(error) => cx.fault(error),
-                    None => cx.info("the stream is sent again"),
+                    None => cx.info("the stream is being sent again"),
                 }
                 self.push_error = error;
             }
@@ -166,12 +166,12 @@ impl Node for Stream {
         let fanout = self.worker.fanout();
         if fanout.has_consumers() {
             let Some(pixels) = pixels_of(&input.image) else {
-                return Err(NodeError::new("the image's format is unknown"));
+                return Err(NodeError::new("the image has an unknown pixel format"));
             };
             if !pixels.to_bgr(&mut self.bgr) {
                 let name = pixels.name();
                 return Err(NodeError::new(format!(
-                    "a stream holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+                    "a stream needs 8-bit images, but {name} arrived: put a `colorize` node in front"
                 )));
             }
             self.bgr = self.worker.offer(std::mem::take(&mut self.bgr), pixels.size());

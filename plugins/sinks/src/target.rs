@@ -9,62 +9,32 @@ use std::path::{Path, PathBuf};
 use panoscope_base::files::create;
 use panoscope_node::{Context, Finish, Open, Result as NodeResult, Validation};
 
-/// Ending of a file that is still being written.
+/// Extension of a file that is still being written.
 pub const PART: &str = ".tmp-part";
 
 /// Why a file could not be written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SinkError {
-    /// The operating system refused.
+    /// The operating system refused an operation.
     #[error("cannot write {path}: {reason}; {help}", path = path.display(), help = help(source))]
-    Io {
-        /// The file that was asked for.
-        path: PathBuf,
-        /// The system's error.
-        reason: String,
-        /// The system's error.
-        source: io::Error,
-    },
+    Io { path: PathBuf, reason: String, source: io::Error },
     /// The path parameter is empty or has no file name.
-    #[error("`path` = \"{path}\" names no file: write something like `path = \"out/{example}\"`", path = path.display())]
-    NoName {
-        /// The parameter.
-        path: PathBuf,
-        /// A name that would do.
-        example: &'static str,
-    },
-    /// No format of this node has this ending.
-    #[error("{path}: no format has the ending `{ending}` here; known are: {known}", path = path.display())]
-    Ending {
-        /// The file that was asked for.
-        path: PathBuf,
-        /// Its ending.
-        ending: String,
-        /// Endings that would do.
-        known: &'static str,
-    },
+    #[error("`path = \"{path}\"` has no file name: write for example `path = \"out/{example}\"`", path = path.display())]
+    NoName { path: PathBuf, example: &'static str },
+    /// The node has no format with this extension.
+    #[error("{path}: the extension `{ending}` is not supported here; supported are: {known}", path = path.display())]
+    Ending { path: PathBuf, ending: String, known: &'static str },
     /// The format cannot hold these pixels.
     #[error("{path}: {what} cannot be stored in this format; {help}", path = path.display())]
-    Unfit {
-        /// The file that was asked for.
-        path: PathBuf,
-        /// What was to be stored.
-        what: String,
-        /// What would work.
-        help: &'static str,
-    },
+    Unfit { path: PathBuf, what: String, help: &'static str },
     /// An encoder failed.
     #[error("{path}: the encoder failed: {reason}", path = path.display())]
-    Encode {
-        /// The file that was asked for.
-        path: PathBuf,
-        /// What the encoder reported.
-        reason: String,
-    },
+    Encode { path: PathBuf, reason: String },
 }
 
 impl SinkError {
-    /// Wraps an error of the operating system.
+    /// Wraps an error of the operating system with what to do about it.
     pub fn io(path: &Path, source: io::Error) -> Self {
         Self::Io { path: path.to_owned(), reason: source.to_string(), source }
     }
@@ -72,7 +42,7 @@ impl SinkError {
 
 fn help(error: &io::Error) -> &'static str {
     match error.kind() {
-        ErrorKind::NotFound => "the folder is not there and could not be made",
+        ErrorKind::NotFound => "the folder does not exist and could not be created",
         ErrorKind::PermissionDenied => {
             "the folder is not writable for this user: choose another or change its permissions"
         }
@@ -80,19 +50,21 @@ fn help(error: &io::Error) -> &'static str {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
             "the disk is full: free some space or choose another folder"
         }
-        ErrorKind::FileTooLarge => "the file has reached the limit of its size (`ulimit -f`, or the file system's)",
+        ErrorKind::FileTooLarge => {
+            "the file has reached its size limit (`ulimit -f`, or the file system's): raise the limit or choose another folder"
+        }
         ErrorKind::IsADirectory => "a folder has that name: choose another file name",
         ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path is a file, not a folder",
         _ => "check that the folder exists and is writable",
     }
 }
 
-/// Ending of a path in lower case, without the dot.
+/// Extension of a path in lower case, without the dot.
 pub fn ending(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase()
 }
 
-/// Creates the folder of `path` where it is missing, with mode 0700: results may show patients.
+/// Creates the folder of `path` if it is missing, with mode 0700: results may show patients.
 ///
 /// # Errors
 /// A system error about `path`.
@@ -106,7 +78,7 @@ pub fn make_folder(path: &Path) -> Result<(), SinkError> {
     }
 }
 
-/// Refuses a path without a file name, and one whose ending is not among `known` (`"png, jpg"`).
+/// Refuses a path without a file name, and one whose extension is not among `known` (`"png, jpg"`).
 ///
 /// # Errors
 /// [`SinkError::NoName`] and [`SinkError::Ending`].
@@ -121,7 +93,7 @@ pub fn check_name(path: &Path, example: &'static str, known: &'static str) -> Re
     Err(SinkError::Ending { path: path.to_owned(), ending, known })
 }
 
-/// Reports what [`check_name`] refuses about parameter `path`, and a folder on the way that is a file.
+/// Reports what [`check_name`] refuses about parameter `path`, and a parent folder that is a file.
 pub fn check_path(
     check: &mut Validation<'_>,
     path: &Path,
@@ -136,13 +108,13 @@ pub fn check_path(
     }
     let text = path.to_string_lossy();
     if let Some(printf) = printf_number(&text) {
-        let message = format!("`{printf}` stays as it is: each file replaces the one before");
-        check.warning("path", message, "write {seq} for the number of the tick, {seq:4} for four digits");
+        let message = format!("`{printf}` is not a placeholder: each file replaces the previous one");
+        check.warning("path", message, "write {seq} for the tick number, or {seq:4} for four digits");
     }
     Some(ending)
 }
 
-/// A place for a number as other programs write it, such as `%04d`.
+/// A placeholder in the style of other programs, such as `%04d`.
 fn printf_number(text: &str) -> Option<&str> {
     text.match_indices('%').find_map(|(start, _)| {
         let rest = &text[start + 1..];
@@ -151,8 +123,8 @@ fn printf_number(text: &str) -> Option<&str> {
     })
 }
 
-/// Claims the pattern of a node that replaces whole files, such as `out/{seq}.png`, and returns the one to write. Folders before the first place
-/// holder are made.
+/// Claims the pattern of a node that replaces whole files, such as `out/{seq}.png`, and returns the one to write. Creates the folders before the
+/// first placeholder.
 ///
 /// # Errors
 /// Another node or run writes these files, or the system refuses the folder.
@@ -162,7 +134,7 @@ pub fn claim_files(open: &Open<'_>, pattern: &Path) -> NodeResult<PathBuf> {
     open.claim_files(pattern)
 }
 
-/// Claims the file of a node that is being opened and makes sure that it can be written: folders are made, what the file holds stays as it is.
+/// Claims the file of a node that is being opened and checks that it can be written. Creates folders; does not change the file's content.
 ///
 /// # Errors
 /// Another node or run writes the file, or the system refuses it.
@@ -181,10 +153,10 @@ pub fn claim(open: &Open<'_>, path: &Path) -> NodeResult<()> {
     tried.map_err(|error| SinkError::io(path, error).into())
 }
 
-/// Hands a file's content to the disk. Pipes and devices have nothing to hand over.
+/// Flushes a file to the disk. Does nothing for pipes and devices.
 ///
 /// # Errors
-/// Those of the system, also of writes that it has put off.
+/// Those of the system, including deferred writes.
 pub fn sync(file: &File) -> io::Result<()> {
     match file.sync_all() {
         Err(error) if error.kind() == ErrorKind::InvalidInput => Ok(()),
@@ -192,8 +164,8 @@ pub fn sync(file: &File) -> io::Result<()> {
     }
 }
 
-/// A file that grows while the graph runs. It is created with the first bytes, and every instance of its node begins a part of its own: what was
-/// written before is never cut off.
+/// A file that grows while the graph runs. It is created with the first bytes. Every instance of its node starts a separate part, so that what was
+/// written before is never truncated.
 pub struct Growing {
     asked: PathBuf,
     begun: Option<Begun>,
@@ -202,17 +174,17 @@ pub struct Growing {
 struct Begun {
     file: File,
     path: PathBuf,
-    /// Bytes that were written whole.
+    /// Number of bytes that were written completely.
     len: u64,
 }
 
 impl Growing {
-    /// A file that was claimed.
+    /// Prepares a claimed file; creates nothing yet.
     pub fn new(path: &Path) -> Self {
         Self { asked: path.to_owned(), begun: None }
     }
 
-    /// Appends bytes; all of them or none are in the file on return.
+    /// Appends bytes. On return the file contains all of them or none.
     ///
     /// # Errors
     /// Another node writes the file; those of the system.
@@ -243,7 +215,7 @@ impl Growing {
         }
     }
 
-    /// Whether there is a file.
+    /// Whether the file has been created.
     pub fn is_begun(&self) -> bool {
         self.begun.is_some()
     }
@@ -258,8 +230,8 @@ impl Growing {
         Ok(())
     }
 
-    /// Completes the file. One that nothing was written to is created empty, so that it does not show an earlier run's content; but a further part
-    /// is not.
+    /// Completes the file. If nothing was written, it is created empty, so that it does not show an earlier run's content; a further part is not
+    /// created then.
     ///
     /// # Errors
     /// Those of the system.
@@ -279,7 +251,8 @@ impl Growing {
 }
 
 impl Begun {
-    /// Takes a torn end off; where even that fails, readers meet half a line at the end. Answers whether nothing was left and the file is removed.
+    /// Truncates an incomplete write. If that fails too, readers find half a line at the end. Returns whether nothing was left and the file was
+    /// removed.
     fn cut_back(&mut self) -> bool {
         let is_file = self.file.metadata().is_ok_and(|found| found.is_file());
         if self.len == 0 && is_file {
@@ -292,14 +265,14 @@ impl Begun {
     }
 }
 
-/// Files of which each is written in one go, see [`write_whole`].
+/// Files that are each written in one step, see [`write_whole`].
 #[derive(Default)]
 pub struct Wholes {
-    /// The newest ones, which the system may not have on the disk yet.
+    /// The newest files, which the system may not have written to the disk yet.
     recent: VecDeque<PathBuf>,
 }
 
-/// Older files than so many are on the disk by themselves: the system waits half a minute at most.
+/// Number of newest files to flush at the end: the system itself flushes older ones, after half a minute at most.
 const MAX_RECENT: usize = 300;
 
 impl Wholes {
@@ -324,10 +297,10 @@ impl Wholes {
         Ok(())
     }
 
-    /// Hands the newest files to the disk.
+    /// Flushes the newest files to the disk.
     ///
     /// # Errors
-    /// Those of the system, also of writes that it has put off.
+    /// Those of the system, including deferred writes.
     pub fn finish(&mut self) -> Result<(), SinkError> {
         for path in self.recent.drain(..) {
             // Removed or replaced by another program meanwhile: no longer this node's.
@@ -338,7 +311,7 @@ impl Wholes {
     }
 }
 
-/// Writes a whole file under another name and then renames it, so that no reader sees half of it. With `sync_first` its content is on the disk
+/// Writes a file under another name and then renames it, so that no reader sees half of it. With `sync_first` its content is flushed to the disk
 /// before it replaces the file of that name.
 ///
 /// # Errors
@@ -369,7 +342,7 @@ pub fn write_whole(
     written
 }
 
-/// A file name in which `{seq}` (six digits), `{seq:N}` (N digits) and `{port}` are filled in per tick.
+/// A file name with the placeholders `{seq}` (six digits), `{seq:N}` (N digits) and `{port}`, which are filled in per tick.
 #[derive(Clone, Debug)]
 pub struct Pattern {
     path: PathBuf,
@@ -379,23 +352,23 @@ pub struct Pattern {
 }
 
 impl Pattern {
-    /// `path` as the graph names it.
+    /// Parses `path` as the graph names it.
     pub fn new(path: &Path) -> Self {
         Self { path: path.to_owned(), text: path.to_string_lossy().into_owned(), every: 1, seen: 0 }
     }
 
-    /// The path with its place holders.
+    /// The path with its placeholders.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether each tick has a file of its own.
+    /// Whether each tick has a separate file.
     pub fn has_seq(&self) -> bool {
         self.text.contains("{seq")
     }
 
-    /// The file for tick `seq` and `port`. With several ports and no `{port}` in the pattern (`tell_apart`), the port's name
-    /// is put before the ending.
+    /// The file for tick `seq` and `port`. With several ports and no `{port}` in the pattern (`tell_apart`), the port's name is inserted before the
+    /// extension.
     pub fn file(&self, seq: u64, port: &str, tell_apart: bool) -> PathBuf {
         let mut out = String::with_capacity(self.text.len() + 16);
         let mut rest = self.text.as_str();

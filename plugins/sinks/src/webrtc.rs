@@ -1,4 +1,4 @@
-//! `webrtc`: the picture as a live video in browsers.
+//! `webrtc`: shows its input as live video in web browsers.
 
 mod host;
 mod room;
@@ -18,31 +18,31 @@ use crate::stream::worker::Worker;
 use room::Room;
 use server::Mount;
 
-/// Inputs.
+/// Input ports of `webrtc`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Pictures to send: bgr8, gray8 or rgba8.
+    /// Frames to send: bgr8, gray8 or rgba8.
     pub image: AnyImage<'f>,
 }
 
-/// Parameters.
+/// Parameters of `webrtc`.
 #[derive(Params)]
 pub struct Settings {
-    /// Address of this machine to listen on. 127.0.0.1 serves programs on this machine only, because anybody who reaches the port sees the
-    /// pictures: there is no password. 0.0.0.0 listens on all networks.
+    /// Address of this machine to listen on. 127.0.0.1 serves only programs on this machine. 0.0.0.0 listens on all networks. There is no password:
+    /// anybody who reaches the port sees the video.
     #[param(default = "127.0.0.1", reopen)]
     pub address: String,
-    /// TCP port of the page, http://ADDRESS:PORT/PATH; 0 takes a free one, which the log names. The video itself takes a free UDP port for each
+    /// TCP port of the page, http://ADDRESS:PORT/PATH. 0 takes a free port, which the log names. The video itself uses a free UDP port for each
     /// viewer. Several `webrtc` nodes share a port with different paths.
     #[param(default = 8889, range = 0..=65535, reopen)]
     pub port: u16,
     /// Path of the page, which is also the WHEP endpoint for players.
     #[param(default = "/live", reopen)]
     pub path: String,
-    /// Bit rate at 30 pictures per second.
+    /// Bit rate at 30 frames per second.
     #[param(default = 4000, range = 50..=100000, unit = "kbit/s", reopen)]
     pub bitrate: u32,
-    /// Distance of key frames. A viewer that joins or has lost a packet gets one at once.
+    /// Distance of keyframes. A viewer that joins or has lost a packet gets one at once.
     #[param(default = 300, range = 1..=1000, unit = "frames", reopen)]
     pub key_interval: u32,
 }
@@ -56,7 +56,7 @@ impl Settings {
         self.address.parse().ok()
     }
 
-    /// The parameter that is wrong, what is wrong with it, and what to write.
+    /// Each wrong parameter, with what is wrong and what to write.
     fn mistakes(&self) -> Vec<(&'static str, String, &'static str)> {
         let mut mistakes = Vec::new();
         if self.address().is_none() {
@@ -65,14 +65,14 @@ impl Settings {
         }
         if let Some(problem) = path_problem(&self.path) {
             let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
-            mistakes.push(("path", format!("`{}` is no path of a stream: {problem}", self.path), help));
+            mistakes.push(("path", format!("`{}` is not a valid path of a stream: {problem}", self.path), help));
         }
         mistakes
     }
 }
 
-/// Sends the newest picture to browsers. The graph never waits for the network or the encoder: a picture that arrives while the one before is
-/// still being encoded replaces any that waits. Viewers can only watch.
+/// Sends the newest frame to browsers. The graph never waits for the network or the encoder: a frame that arrives while the previous one is still
+/// being encoded replaces any waiting frame. Viewers can only watch.
 pub struct WebRtc {
     /// Dropped before the worker, so that no viewer joins a stream that ends.
     mount: Option<Mount>,
@@ -82,7 +82,7 @@ pub struct WebRtc {
 
 impl Node for WebRtc {
     const INFO: NodeInfo =
-        NodeInfo::compute("webrtc", "sink", "Serves the picture as live video to web browsers (WebRTC).")
+        NodeInfo::compute("webrtc", "sink", "Serves its input as live video to web browsers (WebRTC).")
             .side_effects()
             .exclusive();
     type In<'f> = In<'f>;
@@ -116,12 +116,12 @@ impl Node for WebRtc {
         let fanout = self.worker.fanout();
         if fanout.has_consumers() {
             let Some(pixels) = pixels_of(&input.image) else {
-                return Err(NodeError::new("the image's format is unknown"));
+                return Err(NodeError::new("the image has an unknown pixel format"));
             };
             if !pixels.to_bgr(&mut self.bgr) {
                 let name = pixels.name();
                 return Err(NodeError::new(format!(
-                    "a stream holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+                    "a stream needs 8-bit images, but {name} arrived: put a `colorize` node in front"
                 )));
             }
             self.bgr = self.worker.offer(std::mem::take(&mut self.bgr), pixels.size());

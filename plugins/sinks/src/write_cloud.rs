@@ -8,28 +8,28 @@ use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Para
 use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_files, make_folder};
 use panoscope_data::formats::ply::{self, GradientLimit};
 
-/// Inputs.
+/// Input ports of `write_cloud`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Points in mm with colours; unknown points are skipped, those filled in have the property `filled` 1.
+    /// Points in mm with colours. Unknown points are skipped; points that were filled in have the property `filled` 1.
     pub cloud: Cloud<'f>,
-    /// Calibration of the rectified views, for the baseline; without it that of a narrow scope is taken, 5 mm.
+    /// Calibration of the rectified views, for the baseline. Without it 5 mm is assumed, the baseline of a narrow scope.
     pub calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Parameters.
+/// Parameters of `write_cloud`.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write, ending in .ply. `{seq}` becomes the tick's number; without it each cloud replaces the previous one.
+    /// File to write, with the extension .ply. `{seq}` becomes the tick's number; without it each cloud replaces the previous one.
     #[param(default = "out/cloud.ply", reopen, writes)]
     pub path: PathBuf,
-    /// Number of clouds per written one.
+    /// Every n-th cloud is written.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
-    /// Writes the surface between neighbouring points as triangles, too.
+    /// Also writes the surface between neighbouring points as triangles.
     #[param(default = false)]
     pub mesh: bool,
-    /// Largest change of disparity between neighbours of one surface by their distance in the picture, px by px; others are not connected.
+    /// Maximum change of disparity per px of distance between neighbours of one surface; others are not connected.
     #[param(default = 1.5, range = 0.1..=100.0, step = 0.1, unit = "ratio")]
     pub max_gradient: f32,
 }

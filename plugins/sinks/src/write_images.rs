@@ -1,4 +1,4 @@
-//! `write_images`: pictures as PNG or JPEG files.
+//! `write_images`: images as PNG or JPEG files.
 
 use std::path::PathBuf;
 
@@ -12,29 +12,29 @@ use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_fi
 use panoscope_data::formats::Pixels;
 use panoscope_data::formats::still;
 
-/// Inputs.
+/// Input ports of `write_images`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture to write: bgr8, gray8, rgba8 or gray16.
+    /// Image to write: bgr8, gray8, rgba8 or gray16.
     pub image: Option<AnyImage<'f>>,
     /// Mask to write, black and white.
     pub mask: Option<Image<'f, Mask>>,
 }
 
-/// Parameters.
+/// Parameters of `write_images`.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write, ending in .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it
-    /// every picture replaces the one before.
+    /// File to write, with the extension .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it every image
+    /// replaces the previous one.
     #[param(default = "out/image.png", reopen, writes)]
     pub path: PathBuf,
-    /// Writes only every so many pictures.
+    /// Every n-th image is written.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
-    /// Stops writing after so many files; 0 never.
+    /// Stops writing after this many files; 0 never.
     #[param(default = 0, range = 0..=1000000000, unit = "frames")]
     pub limit: u64,
-    /// Writes only the last bgr8 picture, when the graph ends; `every` then is the number of ticks between the pictures considered.
+    /// Writes only the last bgr8 image, when the graph ends; `every` is then the number of ticks between the images considered.
     #[param(default = false)]
     pub at_end: bool,
     /// Quality of JPEG files.
@@ -42,7 +42,7 @@ pub struct Settings {
     pub jpeg_quality: u8,
 }
 
-/// Writes still pictures.
+/// Writes still images.
 pub struct WriteImages {
     pattern: Pattern,
     ending: String,
@@ -75,7 +75,7 @@ impl WriteImages {
 }
 
 impl WriteImages {
-    /// Writes the picture that was kept for the end.
+    /// Writes the image that was kept for the end.
     fn write_last(&mut self) -> Result<(), SinkError> {
         match self.last.take() {
             Some((kept, seq, quality)) => self.write(&Pixels::Bgr8(kept.view()), seq, "image", false, quality),
@@ -86,7 +86,7 @@ impl WriteImages {
 
 impl Node for WriteImages {
     const INFO: NodeInfo =
-        NodeInfo::blocking("write_images", "sink", "Writes pictures as PNG or JPEG files.").side_effects();
+        NodeInfo::blocking("write_images", "sink", "Writes images as PNG or JPEG files.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
@@ -94,11 +94,7 @@ impl Node for WriteImages {
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         check_path(check, &params.path, "{seq}.png", still::ENDINGS);
         if params.at_end && check.is_connected("image") == Some(false) {
-            check.error(
-                "at_end",
-                "`at_end` keeps a picture of input `image`, which is not connected",
-                "connect `image`",
-            );
+            check.error("at_end", "`at_end` needs input `image`, which is not connected", "connect `image`");
         }
     }
 
@@ -116,7 +112,7 @@ impl Node for WriteImages {
         if params.at_end {
             let image = input.image.as_ref().and_then(|image| image.as_plane::<Bgr8>());
             let Some(image) = image else {
-                return Err(NodeError::new("`at_end` needs a bgr8 picture at input `image`"));
+                return Err(NodeError::new("`at_end` needs a bgr8 image at input `image`"));
             };
             self.last = Some((image.retain(), seq, params.jpeg_quality));
             return Ok(());
@@ -126,7 +122,7 @@ impl Node for WriteImages {
         }
         let both = input.image.is_some() && input.mask.is_some();
         if let Some(image) = &input.image {
-            let pixels = pixels_of(image).ok_or_else(|| NodeError::new("the image's format is unknown"))?;
+            let pixels = pixels_of(image).ok_or_else(|| NodeError::new("the image has an unknown pixel format"))?;
             self.write(&pixels, seq, "image", both, params.jpeg_quality)?;
         }
         if let Some(mask) = &input.mask {

@@ -1,4 +1,4 @@
-//! `write_raw`: planes with their full precision.
+//! `write_raw`: planes in full precision.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, claim_fi
 use panoscope_data::formats::Pixels;
 use panoscope_data::formats::array::{self, ArrayFormat};
 
-/// Inputs.
+/// Input ports of `write_raw`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Any image.
@@ -27,14 +27,14 @@ pub struct In<'f> {
     pub mask: Option<Image<'f, Mask>>,
 }
 
-/// Parameters.
+/// Parameters of `write_raw`.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write; its ending chooses the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes
-    /// the tick's number, `{port}` the input's name; with several inputs the name is added where `{port}` is missing.
+    /// File to write. Its extension selects the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes the tick's number,
+    /// `{port}` the input's name; with several inputs the name is added if `{port}` is missing.
     #[param(default = "out/plane.pfm", reopen, writes)]
     pub path: PathBuf,
-    /// Number of ticks per written one.
+    /// Every n-th tick is written.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
     /// Number of ticks after which writing stops; 0 never stops.
@@ -65,7 +65,7 @@ impl Node for WriteRaw {
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let ending = check_name(&params.path, "{seq}_{port}.pfm", ArrayFormat::ENDINGS)?;
-        let format = ArrayFormat::from_ending(&ending).ok_or_else(|| NodeError::new("the ending has no format"))?;
+        let format = ArrayFormat::from_ending(&ending).ok_or_else(|| NodeError::new("the extension has no format"))?;
         let pattern = Pattern::new(&claim_files(open, &params.path)?);
         Ok(Self { pattern, files: Wholes::default(), format, ticks: 0, bare_reported: false })
     }
@@ -97,7 +97,7 @@ impl Node for WriteRaw {
             if self.format == ArrayFormat::Bare && !self.bare_reported {
                 self.bare_reported = true;
                 let (width, height) = pixels.size();
-                cx.info(&format!("{} holds {width}x{height} {} without a header", path.display(), pixels.name()));
+                cx.info(&format!("{} contains {width}x{height} {} without a header", path.display(), pixels.name()));
             }
         }
         cx.metric("ticks", self.ticks as f64);

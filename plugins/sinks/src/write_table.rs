@@ -1,4 +1,4 @@
-//! `write_table`: numbers as JSON lines or CSV; detections and instances as COCO JSON too.
+//! `write_table`: numbers as JSON lines or CSV; detections and instances also as COCO JSON.
 
 use std::fmt::Write as _;
 use std::fs::File;
@@ -16,13 +16,13 @@ use crate::target::{Growing, Pattern, SinkError, check_name, check_path, claim, 
 use panoscope_data::formats::fields::{self, CsvFields, Fields, JsonFields};
 use panoscope_data::formats::json;
 
-/// Cells of the tick itself in each line of a CSV file.
+/// Number of cells of the tick itself in each line of a CSV file.
 const TICK_CELLS: usize = 3;
 const ENDINGS: &str = "jsonl, ndjson, csv, json";
-/// Inputs that COCO's form has no room for.
+/// Inputs that COCO's format cannot hold.
 const NOT_IN_COCO: [&str; 8] = ["table", "scalar", "homography", "roi", "tip", "pose", "joints", "text"];
 
-/// Inputs.
+/// Input ports of `write_table`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Named columns of numbers.
@@ -47,39 +47,39 @@ pub struct In<'f> {
     pub instances: Option<Instances<'f>>,
 }
 
-/// Parameters.
+/// Parameters of `write_table`.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write: .jsonl holds one JSON object per tick, .csv one line per tick or table row, .json is one COCO file of all
-    /// detections or instances, written at the end; until then each tick is a line of a file beside it, ending in .json.journal, which a run that
-    /// is cut off leaves. A node that is opened again in the same run continues in .part2.jsonl and so on.
+    /// File to write. .jsonl: one JSON object per tick. .csv: one line per tick or table row. .json: one COCO file of all detections or instances,
+    /// written at the end; until then each tick is a line of a file with the extension .json.journal next to it, which remains if the run is cut off.
+    /// A node that is reopened in the same run continues in .part2.jsonl and so on.
     #[param(default = "out/table.jsonl", reopen, writes)]
     pub path: PathBuf,
-    /// Name of each tick's picture in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png.
+    /// Name of each tick's image in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png.
     #[param(default = "", reopen)]
     pub image_name: String,
 }
 
 enum Form {
-    /// Whole lines are handed to the system one by one, so that a crash leaves a file of whole lines.
+    /// Complete lines are passed to the system one by one, so that a crash leaves a file of complete lines.
     Lines(Growing),
     Csv(Csv),
-    /// Written at the end from the journal, which a run without an end leaves behind.
+    /// Written at the end from the journal, which remains if the run is cut off.
     Coco {
         coco: Coco,
         image_name: Pattern,
         journal: Growing,
-        /// The file to write, known once the first tick has come.
+        /// The file to write, known after the first tick.
         begun: Option<PathBuf>,
     },
 }
 
-/// A CSV file.
+/// State of a CSV file.
 struct Csv {
     file: Growing,
     columns: Vec<String>,
     loss_reported: bool,
-    /// Cells of one line; keeps its memory.
+    /// Cells of one line; the memory is reused.
     cells: CsvFields,
 }
 
@@ -88,7 +88,7 @@ impl Csv {
         Self { file, columns: Vec::new(), loss_reported: false, cells: CsvFields::default() }
     }
 
-    /// Appends the lines of a tick to `out`: one per table row or box, else one. Gives their number.
+    /// Appends the lines of a tick to `out`: one per table row or box, else one. Returns their number.
     fn push_tick(&mut self, cx: &Context<'_>, input: &In<'_>, out: &mut String) -> u64 {
         let mut cells = std::mem::take(&mut self.cells);
         csv_head(&mut cells, cx, input);
@@ -118,7 +118,7 @@ impl Csv {
         lines
     }
 
-    /// Appends a line to `out`, after the names of the columns if it is the first one. Gives 1, or 0 where there was nothing to write.
+    /// Appends a line to `out`, after the header if it is the first one. Returns 1, or 0 if there was nothing to write.
     fn push_line(&mut self, cx: &Context<'_>, cells: &CsvFields, out: &mut String) -> u64 {
         // An empty tick has nothing to name columns after.
         if cells.len() <= TICK_CELLS && self.columns.is_empty() {
@@ -138,13 +138,15 @@ impl Csv {
             && let Some(name) = names.find(|name| self.columns.iter().all(|column| column != name))
         {
             self.loss_reported = true;
-            cx.warn(&format!("column `{name}` came after the file's first line and is left out: .jsonl would keep it"));
+            cx.warn(&format!(
+                "column `{name}` first appeared after the header and is left out: write .jsonl to keep it"
+            ));
         }
         1
     }
 }
 
-/// Writes numbers.
+/// Writes numbers, texts, boxes and tables of each tick.
 pub struct WriteTable {
     path: PathBuf,
     form: Form,
@@ -169,11 +171,12 @@ impl Node for WriteTable {
         if ending == "json"
             && let Some(other) = NOT_IN_COCO.iter().find(|name| is_connected(name))
         {
-            let message = format!("a .json file holds detections or instances in COCO's form, not input `{other}`");
+            let message =
+                format!("a .json file can hold only detections or instances in COCO's format, not input `{other}`");
             check.error("path", message, "write it to .jsonl or .csv");
         } else if ending == "csv" && ["table", "detections"].iter().all(is_connected) {
-            let message = "a CSV file has one kind of line: `table` and `detections` are both connected";
-            check.error("path", message, "give each a `write_table`, or write .jsonl");
+            let message = "a CSV file can have only one kind of line, but `table` and `detections` are both connected";
+            check.error("path", message, "use a separate `write_table` for each, or write .jsonl");
         }
     }
 
@@ -205,7 +208,7 @@ impl Node for WriteTable {
             Form::Csv(csv) => {
                 if input.detections.is_some() && input.table.is_some() {
                     return Err(NodeError::new(
-                        "a CSV file has one kind of line: give `table` and `detections` a `write_table` each, or write .jsonl",
+                        "a CSV file can have only one kind of line: use a separate `write_table` for each of `table` and `detections`, or write .jsonl",
                     ));
                 }
                 let columns_before = csv.columns.len();
@@ -229,7 +232,7 @@ impl Node for WriteTable {
                 ];
                 if others.contains(&true) {
                     return Err(NodeError::new(
-                        "a .json file holds detections or instances in COCO's form: write other inputs to .jsonl or .csv",
+                        "a .json file can hold only detections or instances in COCO's format: write other inputs to .jsonl or .csv",
                     ));
                 }
                 if begun.is_none() {
@@ -237,7 +240,7 @@ impl Node for WriteTable {
                     while journal_of(&file).exists() {
                         let next = cx.begin_file(&self.path, true)?;
                         cx.warn(&format!(
-                            "{} is of a run that was cut off: this one continues in {}",
+                            "{} belongs to a run that was cut off: this run continues in {}",
                             journal_of(&file).display(),
                             next.display()
                         ));
@@ -283,7 +286,7 @@ impl Node for WriteTable {
     }
 }
 
-/// Where the ticks of a COCO file are until it is complete.
+/// Path of the journal of a COCO file.
 fn journal_of(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".journal");
@@ -291,7 +294,7 @@ fn journal_of(path: &Path) -> PathBuf {
 }
 
 impl WriteTable {
-    /// Writes the COCO file, if its node is one of those, and removes its journal.
+    /// Writes the COCO file, if the node writes one, and removes its journal.
     fn complete_coco(&mut self) -> Result<(), SinkError> {
         let Form::Coco { coco, begun, journal, .. } = &mut self.form else { return Ok(()) };
         let Some(path) = begun.take() else { return Ok(()) };
@@ -318,7 +321,7 @@ impl Drop for WriteTable {
     }
 }
 
-/// One value per packet type: its key, and its parts.
+/// Passes one value per packet type to `take`: its key, and its parts.
 fn each_value(input: &In<'_>, mut take: impl FnMut(&str, &dyn Fn(&mut dyn Fields))) {
     if let Some(v) = &input.scalar {
         take("scalar", &|out| fields::scalar(v, out));
@@ -391,7 +394,7 @@ fn json_boxes(out: &mut String, name: &str, detections: &Detections<'_>, masks: 
     out.push(']');
 }
 
-/// The cells that all lines of a tick begin with.
+/// Writes the cells that all lines of a tick begin with.
 fn csv_head(head: &mut CsvFields, cx: &Context<'_>, input: &In<'_>) {
     let tick = cx.tick();
     head.clear();

@@ -1,4 +1,4 @@
-//! `write_video`: pictures as a video file.
+//! `write_video`: frames as a video file.
 
 mod codec;
 mod timeline;
@@ -20,49 +20,49 @@ use writer::{Picture, VideoSettings, VideoWriter};
 
 const EXAMPLE: &str = "video.mkv";
 
-/// Which time the frames of a video have.
+/// Timestamps of the frames of a video.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Time {
-    /// Capture time of the pictures. A replayed recording, or a slow machine, gives the same video.
+    /// Capture time of the frames. A replayed recording, or a slow machine, gives the same video.
     Capture,
     /// Time at which the node received them: the video plays at the speed of the live run.
     Passed,
 }
 
-/// Lag of an .avi video behind its pictures that gives a warning, ms.
+/// Lag of an .avi video behind its input that gives a warning, ms.
 const WARN_BEHIND_MS: f64 = 500.0;
 
-/// Smallest width and height in .mp4, .mov and .avi: GStreamer's writers of these files refuse smaller pictures, px.
+/// Minimum width and height in .mp4, .mov and .avi, px: GStreamer's muxers refuse smaller frames.
 const MIN_INDEXED_PX: usize = 16;
 
-/// Inputs.
+/// Input ports of `write_video`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Pictures to write: bgr8, gray8 or rgba8.
+    /// Frames to write: bgr8, gray8 or rgba8.
     pub image: AnyImage<'f>,
 }
 
-/// Parameters.
+/// Parameters of `write_video`.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write: .mkv, .webm, .mp4, .mov or .avi. .mkv and .webm survive a crash and play to the last picture; the others do not. A node that
-    /// is opened again in the same run continues in .part2.mkv and so on.
+    /// File to write: .mkv, .webm, .mp4, .mov or .avi. .mkv and .webm survive a crash and play to the last frame; the others do not. A node that is
+    /// reopened in the same run continues in .part2.mkv and so on.
     #[param(default = "out/video.mkv", reopen, writes)]
     pub path: PathBuf,
-    /// How the pictures are compressed. .mkv holds every codec.
+    /// Compression of the video. .mkv holds every codec.
     #[param(default = "mjpg", reopen)]
     pub codec: Codec,
-    /// Frames per second, whatever the times of the pictures. 0 gives each picture its own time, to the ms; in .avi the first two pictures set the
-    /// rate, and later ones are repeated where they lie farther apart.
+    /// Constant frame rate, whatever the times of the frames. 0 gives each frame its own time, to the ms; in .avi the first two frames set the rate,
+    /// and later ones are repeated if they are further apart.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub fps: f64,
-    /// Time that the frames have.
+    /// Timestamps of the frames.
     #[param(default = "capture", reopen)]
     pub time: Time,
     /// Replaces the file of an earlier run; otherwise the video is written to the next .part file that does not exist.
     #[param(default = true, reopen)]
     pub replace: bool,
-    /// Quality of `mjpg`, `mpeg4` and `vp8`. Those two take a new value when the file is opened again.
+    /// Quality of `mjpg`, `mpeg4` and `vp8`. `mpeg4` and `vp8` use a new value from the next file on.
     #[param(default = 90, range = 1..=100, unit = "%")]
     pub quality: u8,
     /// Constant quality of `h264` and `hevc`, as the encoder's constant rate factor: 18 looks like the original, 23 is usual, 28 gives small files.
@@ -70,8 +70,8 @@ pub struct Settings {
     pub crf: u8,
 }
 
-/// Loads GStreamer and the encoder. For `mjpg`, whose encoder comes with GStreamer, this happens beside the start of the graph, which it would
-/// delay; a missing encoder of another codec is reported when the node opens.
+/// Loads GStreamer and the encoder. For `mjpg`, whose encoder comes with GStreamer, this happens in parallel with the start of the graph, which it
+/// would delay. A missing encoder of another codec is reported when the node opens.
 struct Preparation(Option<JoinHandle<Result<(), MediaError>>>);
 
 impl Preparation {
@@ -93,12 +93,12 @@ impl Preparation {
     }
 }
 
-/// Writes a video of the first picture's size; pictures of other sizes are fitted into it with black borders.
+/// Writes a video of the first frame's size; frames of other sizes are fitted into it with black borders.
 pub struct WriteVideo {
     writer: VideoWriter,
     preparation: Option<Preparation>,
     bgr: Vec<u8>,
-    /// Smallest width and height that the file can hold, px.
+    /// Minimum width and height that the file can hold, px.
     min_px: usize,
     size_px: Option<(usize, usize)>,
     size_warned: bool,
@@ -107,7 +107,7 @@ pub struct WriteVideo {
 }
 
 impl Node for WriteVideo {
-    const INFO: NodeInfo = NodeInfo::blocking("write_video", "sink", "Writes pictures as a video file.").side_effects();
+    const INFO: NodeInfo = NodeInfo::blocking("write_video", "sink", "Writes frames as a video file.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
@@ -125,7 +125,7 @@ impl Node for WriteVideo {
         let ending = check_name(&params.path, EXAMPLE, ENDINGS)?;
         let kind = FileKind::of(&ending);
         if matches!(kind, FileKind::Indexed(_)) {
-            open.warn(&format!("a crash leaves an unplayable .{ending} file: .mkv survives it"));
+            open.warn(&format!("a crash makes a .{ending} file unplayable: use .mkv, which survives it"));
         }
         claim(open, &params.path)?;
         let min_px = if matches!(kind, FileKind::Indexed(_)) { MIN_INDEXED_PX } else { 1 };
@@ -146,12 +146,12 @@ impl Node for WriteVideo {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
         let Some(pixels) = pixels_of(&input.image) else {
-            return Err(NodeError::new("the image's format is unknown"));
+            return Err(NodeError::new("the image has an unknown pixel format"));
         };
         let Some(bgr) = pixels.bgr(&mut self.bgr) else {
             let name = pixels.name();
             return Err(NodeError::new(format!(
-                "a video holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+                "a video needs 8-bit images, but {name} arrived: put a `colorize` node in front"
             )));
         };
         let size_px = pixels.size();
@@ -159,14 +159,14 @@ impl Node for WriteVideo {
         if self.size_px.is_none() && width.min(height) < self.min_px {
             let (min_px, path) = (self.min_px, params.path.display());
             return Err(NodeError::new(format!(
-                "{path} cannot hold pictures of {width}x{height} px, it needs at least {min_px}x{min_px}: write .mkv, or enlarge them"
+                "{path} cannot hold frames of {width}x{height} px, it needs at least {min_px}x{min_px}: write .mkv, or enlarge them"
             )));
         }
         let first = *self.size_px.get_or_insert(size_px);
         if size_px != first && !self.size_warned {
             self.size_warned = true;
             cx.warn(&format!(
-                "pictures changed from {}x{} to {}x{}: fitted onto the first size with black borders",
+                "frames changed from {}x{} to {}x{}: fitted into the first size with black borders",
                 first.0, first.1, size_px.0, size_px.1
             ));
         }
@@ -188,7 +188,7 @@ impl Node for WriteVideo {
         if !self.behind_warned && self.writer.behind_ms() > WARN_BEHIND_MS {
             self.behind_warned = true;
             cx.warn(&format!(
-                "pictures come faster than the first two: {} plays too slowly; give `fps`, or write .mkv",
+                "frames arrive faster than the first two: {} plays too slowly; set `fps`, or write .mkv",
                 self.writer.path().display()
             ));
         }

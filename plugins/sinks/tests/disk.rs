@@ -1,8 +1,8 @@
-//! Every operation on files of every sink fails in turn: with a full disk, an I/O error, a device that is gone, a kill. What was acknowledged
-//! before is readable after, and nothing is lost in silence.
+//! Every file operation of every sink fails in turn: a full disk, an I/O error, a device that is gone, a kill. What was acknowledged before is
+//! readable afterwards, and every loss is reported.
 //!
-//! The faults come from `tests/c/disk_faults.c`, preloaded into a child process of this test. `PANOSCOPE_DISK_TICKS` sets how many ticks each
-//! case has (3 without it): each tick brings more operations, each of which fails in a case of its own.
+//! The faults come from `tests/c/disk_faults.c`, preloaded into a child process of this test. `PANOSCOPE_DISK_TICKS` sets how many ticks each case
+//! has (3 without it): each tick brings more operations, each of which fails in a separate case.
 
 use std::collections::BTreeSet;
 use std::ffi::CString;
@@ -22,10 +22,10 @@ use panoscope_sinks::write_table::WriteTable;
 use panoscope_sinks::write_video::WriteVideo;
 
 const CHILD: &str = "PANOSCOPE_TEST_DISK_CHILD";
-/// Name of the campaign of files that GStreamer writes.
+/// Name of the campaign for files that GStreamer writes.
 const INDEXED: &str = "indexed";
 
-/// As in `disk_faults.c`.
+/// Faults, numbered as in `disk_faults.c`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     Full = 1,
@@ -78,15 +78,15 @@ impl Disk {
     }
 }
 
-/// One sink, and how what it wrote is read by others.
+/// A sink, and how its output is read by others.
 struct Sink {
     name: &'static str,
     run: fn(&Path, u64, &mut dyn FnMut(u64)) -> Reported,
-    /// Ticks that are found whole.
+    /// Ticks that are read back complete.
     read: fn(&Path) -> BTreeSet<u64>,
 }
 
-/// What a run reported of its failures.
+/// Failures that a run reported.
 #[derive(Default, Debug)]
 struct Reported {
     errors: Vec<String>,
@@ -122,7 +122,7 @@ const SINKS: [Sink; 9] = [
     },
 ];
 
-/// Runs a node for so many ticks as the runtime does: opened again after an error, left closed after a lasting one, finished at the end.
+/// Runs a node for this many ticks as the runtime does: reopened after an error, left closed after a lasting one, finished at the end.
 fn run<N: Node>(
     folder: &Path,
     params: &str,
@@ -179,7 +179,7 @@ impl Reported {
     }
 }
 
-/// A gray level that tells the tick.
+/// A gray level that identifies the tick.
 fn level(tick: u64) -> u8 {
     (10 + tick % 12 * 20) as u8
 }
@@ -238,7 +238,7 @@ fn videos(folder: &Path) -> BTreeSet<u64> {
     ticks
 }
 
-/// Every file of the name of a finished one must be whole.
+/// Every file under its final name must be complete.
 fn stills(folder: &Path, ending: &str) -> BTreeSet<u64> {
     let of = |path: &PathBuf| {
         let tick: u64 = path.file_stem().unwrap().to_str().unwrap().parse().unwrap();
@@ -267,7 +267,7 @@ fn clouds(folder: &Path) -> BTreeSet<u64> {
     files(folder, "ply").iter().map(of).collect()
 }
 
-/// Only the last line of a file may be torn.
+/// Only the last line of a file may be incomplete.
 fn json_lines(path: &Path) -> Vec<serde_json::Value> {
     let text = fs::read_to_string(path).unwrap();
     let whole = text.rfind('\n').map_or("", |end| &text[..end]);
@@ -328,7 +328,7 @@ fn coco(folder: &Path) -> BTreeSet<u64> {
     ticks
 }
 
-/// Acknowledged ticks, in memory that outlives a killed child.
+/// Acknowledged ticks, in memory that survives a killed child.
 struct Board(*mut [u8; 4096]);
 
 impl Board {
@@ -357,7 +357,7 @@ impl Board {
     }
 }
 
-/// One case; answers whether the fault came.
+/// Runs one case; returns whether the fault occurred.
 fn case(disk: &Disk, board: &Board, folder: &Path, sink: &Sink, fault: Fault, number: i32, ticks: u64) -> bool {
     let _ = fs::remove_dir_all(folder);
     fs::create_dir_all(folder).unwrap();
@@ -412,7 +412,7 @@ fn case(disk: &Disk, board: &Board, folder: &Path, sink: &Sink, fault: Fault, nu
     came
 }
 
-/// Files of containers that GStreamer writes: a crash may lose them, but no failed write goes unnoticed.
+/// Files of containers that GStreamer writes: a crash may lose them, but every failed write is reported.
 fn indexed_files(disk: &Disk, folder: &Path) -> u32 {
     let mut cases = 0;
     for ending in ["mp4", "mov", "avi"] {

@@ -1,7 +1,7 @@
 //! Every file that a sink writes is read back by another reader.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use opencv::core::{self, Mat, Vec3b};
 use opencv::prelude::*;
@@ -16,34 +16,7 @@ use panoscope_sinks::write_raw::WriteRaw;
 use panoscope_sinks::write_table::WriteTable;
 use panoscope_sinks::write_video::WriteVideo;
 
-/// A folder of its own, removed at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("panoscope_sinks_{name}_{}", std::process::id()));
-        let _ = fs::remove_dir_all(&path);
-        fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-
-    fn open<N: panoscope_node::Node>(&self, params: &str) -> Harness<N> {
-        Harness::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&self.0)).unwrap()
-    }
-
-    fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> =
-            fs::read_dir(&self.0).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
+use crate::common::Folder;
 
 fn read(path: &Path) -> Mat {
     let mat = imgcodecs::imread(path.to_str().unwrap(), imgcodecs::IMREAD_UNCHANGED).unwrap();
@@ -51,7 +24,7 @@ fn read(path: &Path) -> Mat {
     mat
 }
 
-/// A smooth picture: JPEG keeps it nearly.
+/// A smooth image, which JPEG nearly preserves.
 fn gradient(width: usize, height: usize, shift: usize) -> Vec<u8> {
     (0..height * width)
         .flat_map(|i| {
@@ -240,7 +213,7 @@ fn the_journal_of_a_run_that_was_cut_off_is_kept() {
     assert_eq!(folder.names(), ["d.json.journal", "d.part2.json"]);
 }
 
-/// Opens a sink on a link, writes once and closes it.
+/// Opens a sink on a symbolic link, writes once and closes it.
 fn write_through_link(folder: &Folder, name: &str) {
     use std::os::unix::fs::{MetadataExt, symlink};
     let (target, link) = (folder.0.join(format!("target of {name}")), folder.0.join("new/folder").join(name));

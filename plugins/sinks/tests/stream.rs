@@ -1,4 +1,4 @@
-//! A live stream as its clients see it: pictures by their numbers, clients that come, go and stall, several streams on one port, mistakes.
+//! A live stream as its clients see it: frames identified by number, clients that come, go and stall, several streams on one port, mistakes.
 
 use std::net::{TcpListener, UdpSocket};
 use std::sync::{Arc, Mutex};
@@ -24,7 +24,7 @@ fn open(params: &str) -> Harness<Stream> {
     open_as("out", params).unwrap()
 }
 
-/// A graph that shows a picture every so often, in the test's own thread.
+/// A node that shows frames at a fixed rate, in the test's own thread.
 struct Source {
     node: Harness<Stream>,
     number: u64,
@@ -53,7 +53,7 @@ impl Source {
         self.number += 1;
     }
 
-    /// Shows pictures at 50 Hz until something has happened.
+    /// Shows frames at 50 Hz until `done`.
     fn show_until(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> bool) {
         let end = Instant::now() + PATIENCE;
         while !done(self) {
@@ -94,7 +94,7 @@ impl Client {
         Self { source: source.to_owned(), pipeline, sink, numbers: Vec::new() }
     }
 
-    /// Asks again where the first request failed, as on a loaded machine on which the answer took too long. Answers whether it did.
+    /// Reconnects if the first request failed, as on a loaded machine on which the answer took too long. Returns whether it did.
     fn retry(&mut self) -> bool {
         let failed = self.pipeline.bus().unwrap().pop_filtered(&[gstreamer::MessageType::Error]);
         if let Some(message) = &failed {
@@ -110,12 +110,12 @@ impl Client {
         ))
     }
 
-    /// Whether its newest picture is one of the last that were shown.
+    /// Whether its newest frame is one of the last that were shown.
     fn is_current(&self, source: &Source) -> bool {
         self.numbers.last().is_some_and(|newest| newest + 25 > source.number)
     }
 
-    /// Takes what has been decoded; answers how many pictures there are so far.
+    /// Takes the decoded frames; returns their number so far.
     fn look(&mut self) -> usize {
         if self.numbers.is_empty() {
             self.retry();
@@ -128,7 +128,7 @@ impl Client {
         self.numbers.len()
     }
 
-    /// What the pipeline says of itself.
+    /// The state that the pipeline reports, as text.
     fn state(&self) -> String {
         let bus = self.pipeline.bus().unwrap();
         let said = bus.iter_filtered(&[gstreamer::MessageType::Error, gstreamer::MessageType::Warning]);
@@ -148,7 +148,7 @@ impl Drop for Client {
     }
 }
 
-/// Pictures that an encoder may hold when the client before has just left.
+/// Frames that an encoder may hold when the previous client has just left.
 const IN_FLIGHT: u64 = 8;
 
 fn grow(numbers: &[u64]) -> bool {
@@ -365,7 +365,7 @@ fn mistakes_are_named_with_their_remedies() {
         (format!("port = {port}"), vec![format!("127.0.0.1:{port}"), "another program uses this port".to_owned()]),
         (
             r#"path = "/my view""#.to_owned(),
-            vec!["`/my view`".to_owned(), "has a space".to_owned(), "such as `/wide`".to_owned()],
+            vec!["`/my view`".to_owned(), "contains a space".to_owned(), "such as `/wide`".to_owned()],
         ),
         (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned()]),
         (
@@ -374,7 +374,7 @@ fn mistakes_are_named_with_their_remedies() {
         ),
         (r#"port = 0, address = "203.0.113.7""#.to_owned(), vec!["no such address".to_owned()]),
         (r#"push = "http://a/b""#.to_owned(), vec!["`http://a/b`".to_owned(), "udp://HOST:PORT".to_owned()]),
-        ("serve = false".to_owned(), vec!["goes nowhere".to_owned(), "`push`".to_owned()]),
+        ("serve = false".to_owned(), vec!["has no destination".to_owned(), "`push`".to_owned()]),
     ];
     for (params, words) in cases {
         let message = open_as("out", &params).err().unwrap_or_else(|| panic!("{params} was accepted"));
@@ -393,8 +393,8 @@ fn quantile(latencies: &[Duration], q: f64) -> Duration {
     sorted[((sorted.len() as f64 * q) as usize).min(sorted.len() - 1)]
 }
 
-/// Latency from the call that shows a picture to the decoded picture at a player on this machine. The figures are printed; what is waited for only
-/// says that pictures do not queue up.
+/// Latency from the call that shows a frame to the decoded frame at a player on this machine. The figures are printed; the test asserts only that
+/// frames do not queue up.
 #[test]
 fn pictures_arrive_while_they_are_new() {
     const PICTURES: usize = 60;

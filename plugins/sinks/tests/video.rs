@@ -1,4 +1,4 @@
-//! Videos of every codec are read back by GStreamer and ffprobe: pictures by their numbers, times, and what a kill leaves.
+//! Videos of every codec are read back by GStreamer and ffprobe: numbers and times of the frames, and what a kill leaves.
 
 use crate::common;
 use std::io::{BufRead, BufReader};
@@ -168,7 +168,7 @@ fn pictures_below_16_px_are_refused_where_the_file_cannot_hold_them() {
         match outcome.err().map(|error| error.to_string()) {
             None => assert!(is_held, "{ending}"),
             Some(error) => {
-                let words = "cannot hold pictures of 40x8 px, it needs at least 16x16: write .mkv";
+                let words = "cannot hold frames of 40x8 px, it needs at least 16x16: write .mkv";
                 assert!(!is_held && error.contains(&name) && error.contains(words), "{error}");
                 // Larger ones are written afterwards.
                 node.input_image::<Bgr8>("image", 40, 16, &[90; 40 * 16 * 3]).process().unwrap();
@@ -179,7 +179,7 @@ fn pictures_below_16_px_are_refused_where_the_file_cannot_hold_them() {
     }
 }
 
-/// Runs in the child: writes pictures and names each that was accepted, until it is killed.
+/// Runs in the child: writes frames and prints each that was accepted, until it is killed.
 fn write_until_killed(codec: &str, folder: &Path) -> ! {
     use std::io::Write as _;
     let mut node = open(folder, &format!(r#"path = "{codec}.mkv", codec = "{codec}""#));

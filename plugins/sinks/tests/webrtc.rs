@@ -1,4 +1,4 @@
-//! A live stream as browsers see it: Chromium opens the page of the node, and the pixels of its video are read back.
+//! A live stream as browsers see it: Chromium opens the node's page, and the pixels of its video are read back.
 
 use crate::chromium;
 use std::io::{Read, Write};
@@ -15,7 +15,7 @@ use panoscope_testing::skipped;
 const SIZE_PX: (usize, usize) = (320, 192);
 const PATIENCE: Duration = Duration::from_secs(90);
 
-/// Draws the video to a canvas and reads its pixels back, as BGR; empty before the first picture.
+/// Draws the video to a canvas and reads its pixels back, as BGR; empty before the first frame.
 const READ: &str = r#"(() => {
     const video = document.querySelector("video");
     if (!video || !video.videoWidth) return null;
@@ -34,7 +34,7 @@ fn open_as(id: &str, params: &str) -> Result<Harness<WebRtc>, String> {
     Harness::open(setup).map_err(|error| error.to_string())
 }
 
-/// A graph that shows a picture every so often, in the test's own thread.
+/// A node that shows frames at a fixed rate, in the test's own thread.
 struct Source {
     node: Harness<WebRtc>,
     number: u64,
@@ -62,7 +62,7 @@ impl Source {
         self.number += 1;
     }
 
-    /// Shows pictures at 50 Hz until something has happened.
+    /// Shows frames at 50 Hz until `done`.
     fn show_until<T>(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> Option<T>) -> T {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -103,7 +103,7 @@ fn base64(text: &str) -> Vec<u8> {
     bytes
 }
 
-/// A page of a browser that plays the stream, and the numbers of the pictures that it showed.
+/// A browser page that plays the stream, and the numbers of the frames that it showed.
 struct Player {
     browser: Browser,
     page: Page,
@@ -119,7 +119,7 @@ impl Player {
         Self { browser, page, numbers: Vec::new(), state: String::new(), worst_colour: 0 }
     }
 
-    /// Reads the picture that is shown; answers how many different ones there were.
+    /// Reads the frame that is shown; returns the number of different ones so far.
     fn look(&mut self) -> usize {
         let read = self.browser.evaluate(&self.page, READ);
         let Some(bgr) = read["bgr"].as_str().map(base64) else { return 0 };
@@ -135,7 +135,7 @@ impl Player {
     }
 }
 
-/// Largest difference from the picture of this number, in the middle of small squares of the coloured half, but for the ones where red jumps.
+/// Maximum difference from the frame of this number, in the middle of small squares of the coloured half, except for the ones where red jumps.
 fn colour_error(bgr: &[u8], number: u64) -> u8 {
     let sent = numbered(SIZE_PX, number);
     let mut worst = 0;
@@ -199,7 +199,7 @@ fn browsers_show_the_pictures_and_one_that_is_killed_leaves_the_others_alone() {
     // A picture that stands still is named.
     let end = Instant::now() + PATIENCE;
     let mut state = serde_json::Value::Null;
-    while !state.as_str().is_some_and(|state| state.contains("no new picture for ")) {
+    while !state.as_str().is_some_and(|state| state.contains("no new frame for ")) {
         assert!(Instant::now() < end, "{state}");
         std::thread::sleep(Duration::from_millis(100));
         state = first.browser.evaluate(&first.page, "document.getElementById('state').textContent");
@@ -211,7 +211,7 @@ fn browsers_show_the_pictures_and_one_that_is_killed_leaves_the_others_alone() {
     source.node.finish().unwrap();
 }
 
-/// Status, head and body of the answer to a request.
+/// Status, head and body of the response to a request.
 fn ask(at: &str, request: &str, fields: &str, body: &[u8]) -> (u16, String, String) {
     let mut stream = TcpStream::connect(at).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
@@ -231,7 +231,7 @@ fn ask(at: &str, request: &str, fields: &str, body: &[u8]) -> (u16, String, Stri
 
 const IS_SDP: &str = "Content-Type: application/sdp\r\n";
 
-/// An offer of sound and of video in H.264 whose sender never connects.
+/// An offer of audio and of H.264 video whose sender never connects.
 fn offer() -> String {
     let digest = ["0A"; 32].join(":");
     let ice = format!(
@@ -349,7 +349,7 @@ fn mistakes_are_named_with_their_remedies() {
     let port = taken.local_addr().unwrap().port();
     let cases = [
         (format!("port = {port}"), vec![format!("127.0.0.1:{port}"), "another program uses this port".to_owned()]),
-        (r#"path = "/my view""#.to_owned(), vec!["`/my view`".to_owned(), "has a space".to_owned()]),
+        (r#"path = "/my view""#.to_owned(), vec!["`/my view`".to_owned(), "contains a space".to_owned()]),
         (r#"path = "/""#.to_owned(), vec!["it is empty".to_owned(), "such as `/wide`".to_owned()]),
         (
             r#"address = "localhost""#.to_owned(),

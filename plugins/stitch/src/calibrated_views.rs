@@ -1,4 +1,4 @@
-//! Both views as a calibration describes them, and the disparity maps that belong to them.
+//! The views that a calibration describes, and the disparity maps that belong to them.
 
 use panoscope_data::calibration::packet;
 use panoscope_imaging::stereo::{Lens, StereoError};
@@ -6,18 +6,18 @@ use panoscope_imaging::stitch::{RectifiedView, map_factor};
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Result, error};
 
-/// The views of the newest calibration.
+/// Views of the newest calibration.
 #[derive(Default)]
 pub(crate) struct CalibratedViews {
     known: Option<(Calibration, [RectifiedView; 2])>,
 }
 
 impl CalibratedViews {
-    /// Both views of a calibration; without one, views of these sizes that are rectified already. A rectification that the calibration does not state is
-    /// computed when the calibration changes.
+    /// Both views of a calibration; without one, views of these sizes that are already rectified. If the calibration does not state a rectification,
+    /// it is computed when the calibration changes.
     ///
     /// # Errors
-    /// The calibration does not say how its cameras are rectified, and that cannot be computed.
+    /// The calibration states no rectification, and none can be computed.
     pub fn of(
         &mut self,
         calibration: Option<&Calibration>,
@@ -75,7 +75,7 @@ fn view(
     })
 }
 
-/// A view that is rectified already.
+/// A view that is already rectified.
 fn rectified(size: (usize, usize)) -> RectifiedView {
     RectifiedView {
         size,
@@ -88,12 +88,12 @@ fn rectified(size: (usize, usize)) -> RectifiedView {
     }
 }
 
-/// Refuses a disparity map that does not belong to a picture of this size.
+/// Refuses a disparity map that does not belong to an image of this size.
 pub(crate) fn check_map(map: (usize, usize), picture: (usize, usize)) -> Result<()> {
     match map_factor(map, picture) {
         Some(_) => Ok(()),
         None => Err(error!(
-            "the disparity is {}x{}, the left view {}x{}: connect the disparity of these views, as large as they are or smaller by a whole factor",
+            "the disparity is {}x{}, but the left view is {}x{}: connect the disparity of these views, of their size or smaller by an integer factor",
             map.0, map.1, picture.0, picture.1
         )),
     }

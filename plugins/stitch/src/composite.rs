@@ -1,4 +1,4 @@
-//! `composite`: overlapping views and their homographies in, one wide picture out (thesis, chapter 2.2 and Alg. 2.3).
+//! `composite`: combines overlapping views and their homographies into one wide image (thesis, chapter 2.2 and Alg. 2.3).
 
 use std::time::Duration;
 
@@ -20,9 +20,9 @@ use crate::view_gain::ViewGain;
 /// Method that finds the seam between two views.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Seam {
-    /// Exact minimum cut of the shrunk overlap.
+    /// Exact minimum cut of the reduced overlap.
     GraphCut,
-    /// Shortest path through the shrunk overlap.
+    /// Shortest path through the reduced overlap.
     DynamicProgramming,
     /// Later views cover earlier ones.
     None,
@@ -35,7 +35,7 @@ pub enum Cost {
     Color,
     /// Colour difference divided by the local gradient: seams hide along edges (Kwatra et al. 2003, eq. 2).
     ColorGradient,
-    /// Colour difference, or its mean over the width of the transition if that is larger.
+    /// The larger of the colour difference and its mean over the width of the transition.
     Transition,
 }
 
@@ -70,25 +70,25 @@ pub enum Exposure {
     None,
 }
 
-/// What becomes of the outer border of the panorama, which is ragged where views end.
+/// Treatment of the panorama's outer border, which is ragged where views end.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Border {
-    /// It stays.
+    /// Unchanged.
     AsIs,
-    /// The picture fades to black towards it.
+    /// Fades to black.
     Fade,
     /// Black outside the largest upright rectangle that the views cover.
     Crop,
 }
 
-/// Which part of the plane the panorama shows.
+/// Region of the plane that the panorama shows.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Crop {
-    /// All of the canvas around the first good registration.
+    /// The whole canvas around the first good registration.
     None,
-    /// The bounding box of what the views show with light.
+    /// The bounding box of the illuminated part of the views.
     Content,
-    /// The largest upright rectangle that the views fill with light: no black border.
+    /// The largest upright rectangle that the views fill with illuminated pixels: no black border.
     Filled,
 }
 
@@ -98,17 +98,17 @@ pub struct CompositeNodeParams {
     /// Method that finds the seam between two views.
     #[param(default = "graph_cut")]
     seam: Seam,
-    /// Factor by which the overlap is shrunk before the seam is found; 1 finds it at full size. 0 finds the factor from the width of the views: 10 up
-    /// to 1280 px, 15 for 1920, 30 for 3840.
+    /// Factor by which the overlap is reduced before the seam is found; 1 finds it at full size. 0 selects the factor by the width of the views: 10
+    /// up to 1280 px, 15 for 1920, 30 for 3840.
     #[param(default = 0, range = 0..=64)]
     seam_scale: u32,
-    /// Largest number of frames before the seam is found again.
+    /// Maximum number of frames before the seam is found again.
     #[param(default = 15, range = 1..=10000, unit = "frames")]
     seam_interval: u32,
     /// Cost of the seam between two pixels.
     #[param(default = "color_gradient")]
     seam_cost: Cost,
-    /// Colour difference that a new seam must gain over the previous one; 0 ignores the previous seam.
+    /// Minimum improvement in colour difference for a new seam to replace the previous one; 0 ignores the previous seam.
     #[param(default = 0.5, range = 0.0..=20.0, step = 0.1, unit = "levels")]
     seam_hold: f32,
     /// Blending of the views along the seam.
@@ -129,16 +129,17 @@ pub struct CompositeNodeParams {
     /// Margin around the first good registration, so that the canvas need not move.
     #[param(default = 16, range = 0..=512, unit = "px")]
     canvas_margin: u32,
-    /// Number of frames in a row that must leave the canvas before it grows; 0 never grows it.
+    /// Number of consecutive frames that must leave the canvas before it grows; 0 never grows it.
     #[param(default = 0, range = 0..=10000, unit = "frames")]
     canvas_grow: u32,
-    /// Which part of the plane the panorama shows. A crop is held: its size changes in steps, seldom. Without effect beside a fixed width and height.
+    /// Region of the plane that the panorama shows. A crop is held: its size changes rarely, in steps. Has no effect with a fixed width and height.
     #[param(default = "none")]
     crop: Crop,
-    /// Time for which a larger part must have been covered before a cropped panorama grows, or a bounding box must have been off before it changes.
+    /// Time for which a larger region must have been covered before a cropped panorama grows, or a bounding box must have been wrong before it
+    /// changes.
     #[param(default = 4.0, range = 0.0..=60.0, step = 0.5, unit = "s")]
     crop_hold: f32,
-    /// What becomes of the outer border of the panorama.
+    /// Treatment of the panorama's outer border.
     #[param(default = "as_is")]
     border: Border,
     /// Width of a fading border.
@@ -147,7 +148,7 @@ pub struct CompositeNodeParams {
     /// Draws an arrow that points up in the left view.
     #[param(default = false)]
     up_cue: bool,
-    /// Direction of up in the left view, clockwise from the picture's top.
+    /// Direction of up in the left view, clockwise from the top of the image.
     #[param(default = 0.0, range = -180.0..=180.0, step = 1.0, unit = "deg")]
     up_deg: f32,
     /// Marks frames whose registration is lost.
@@ -156,18 +157,18 @@ pub struct CompositeNodeParams {
     /// Output while a frame's registration is lost or implausible.
     #[param(default = "last")]
     pub(crate) on_lost: OnLost,
-    /// What draws panoramas of two views, up to the transition along the seam. A GPU rounds positions differently now and then, by 1/64 px; it pays for
-    /// views of 1920x1080 and more. Without one, and for more views, the processor draws.
+    /// What draws panoramas of two views, up to the transition along the seam. A GPU sometimes rounds positions differently, by 1/64 px; it is
+    /// worthwhile for views of 1920x1080 and more. Without a GPU, and for more views, the processor draws.
     #[param(default = "cpu")]
     pub(crate) device: Device,
 }
 
-/// The compositor of a node, and what it draws with.
+/// The compositor of a node, and the device that it draws with.
 pub(crate) struct Drawer {
     pub kernel: Compositor,
     masks: [HeldMask; MAX_VIEWS],
     device: Device,
-    /// Seams found since the node was opened.
+    /// Number of seams found since the node was opened.
     seams: u64,
     gain: ViewGain,
     /// Capture time of the last tick, ns.
@@ -197,7 +198,7 @@ impl Drawer {
         }
     }
 
-    /// Follows the masks of the views.
+    /// Updates the masks of the views.
     pub(crate) fn take_masks(&mut self, inputs: &SceneInputs<'_, '_>) -> Result<()> {
         let given = inputs.masks.map_or(0, List::len);
         if given > 0 && inputs.views.map(List::len) != Some(given) {
@@ -221,7 +222,7 @@ impl Drawer {
                     (None, _) => ("`mask_right`".to_owned(), "`right`".to_owned()),
                 };
                 return Err(error!(
-                    "{mask_name} is {}x{}, {name} is {}x{}: connect the mask of this view",
+                    "{mask_name} is {}x{}, but {name} is {}x{}: connect the mask of this view",
                     mask.width(),
                     mask.height(),
                     image.width(),
@@ -235,7 +236,7 @@ impl Drawer {
         Ok(())
     }
 
-    /// Follows changed parameters.
+    /// Updates changed parameters.
     pub(crate) fn set_params(&mut self, params: &CompositeNodeParams, report: &dyn Report) {
         let wanted = params.kernel();
         if *self.kernel.params() != wanted {
@@ -298,21 +299,21 @@ impl CompositeNodeParams {
 /// Inputs of the composite: `left`, `right` and `homography`, or `views` and `homographies`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view; the panorama lies in its plane.
+    /// Left view; the panorama is in its plane.
     left: Option<Image<'f, Bgr8>>,
     /// Right view of the same instant.
     right: Option<Image<'f, Bgr8>>,
     /// Maps right-view pixels to left-view pixels.
     homography: Option<Value<'f, Homography>>,
-    /// Two to eight views instead of `left` and `right`; the panorama lies in the plane of the first.
+    /// Two to eight views instead of `left` and `right`; the panorama is in the plane of the first.
     views: Option<List<'f, Image<'f, Bgr8>>>,
     /// One homography for each further view of `views`, which maps its pixels to the first view's.
     homographies: Option<List<'f, Value<'f, Homography>>>,
-    /// What of `left` is lit, not 0: only that is shown, compared and blended. Without it all is.
+    /// Nonzero where `left` is illuminated: only those pixels are shown, compared and blended. Unconnected: all pixels.
     mask_left: Option<Image<'f, Mask>>,
-    /// What of `right` is lit.
+    /// Nonzero where `right` is illuminated.
     mask_right: Option<Image<'f, Mask>>,
-    /// What of each of `views` is lit, in their order. Without them all is.
+    /// Nonzero where each of `views` is illuminated, in their order. Unconnected: all pixels.
     masks: Option<List<'f, Image<'f, Mask>>>,
 }
 
@@ -327,18 +328,18 @@ pub struct Out<'f> {
     canvas: Slot<'f, Roi>,
     /// View that each pixel shows: 0 none, 1 the first, 2 the second and so on.
     shown: Slot<'f, Gray8>,
-    /// How much more area the panorama covers than the first view, percent. Of a cropped one only what is lit counts.
+    /// Area of the panorama beyond that of the first view, percent. In a cropped panorama only illuminated pixels count.
     gain: Slot<'f, Scalar>,
-    /// The same as words: `+12 % over one view`. They change seldom.
+    /// The same as text: `+12 % over one view`. It changes rarely.
     gain_text: Slot<'f, TextPacket>,
 }
 
-/// See the module.
+/// The `composite` node.
 pub struct Composite {
     drawer: Drawer,
 }
 
-/// Where the views of a tick come from: two of them with their homography, or a list with one homography for each but the first.
+/// Inputs for the views of a tick: two of them with their homography, or a list with one homography for each but the first.
 pub(crate) struct SceneInputs<'i, 'f> {
     pub pair: [Option<&'i Image<'f, Bgr8>>; 2],
     pub pair_masks: [Option<&'i Image<'f, Mask>>; 2],
@@ -355,7 +356,7 @@ pub(crate) struct Scene<'f> {
     /// State of each map.
     pub states: [u32; MAX_VIEWS],
     pub count: usize,
-    /// The worst of all.
+    /// The worst of these states.
     pub state: GeometryState,
 }
 
@@ -372,7 +373,7 @@ impl<'f> Scene<'f> {
 
     fn push(&mut self, view: View<'f, u8>, map: Option<&Homography>) -> Result<()> {
         if self.count == MAX_VIEWS {
-            return Err(error!("more than {MAX_VIEWS} views are connected"));
+            return Err(error!("the connected views exceed the limit of {MAX_VIEWS}"));
         }
         self.views[self.count] = view;
         if let Some(map) = map {
@@ -398,7 +399,7 @@ impl<'f> Scene<'f> {
             let given = maps.map_or(0, List::len);
             if given + 1 != views.len() {
                 return Err(error!(
-                    "{} views need {} homographies, {given} are connected",
+                    "{} views need {} homographies, but {given} are connected",
                     views.len(),
                     views.len() - 1
                 ));
@@ -419,7 +420,7 @@ impl<'f> Scene<'f> {
     }
 }
 
-/// Outputs that a panorama is drawn on.
+/// Outputs that belong to a panorama.
 pub(crate) struct Slots<'s, 'f> {
     pub panorama: &'s mut Slot<'f, Bgr8>,
     pub mask: &'s mut Slot<'f, Mask>,
@@ -429,7 +430,7 @@ pub(crate) struct Slots<'s, 'f> {
     pub gain_text: &'s mut Slot<'f, TextPacket>,
 }
 
-/// Draws the panorama of a tick and fills the outputs beside it.
+/// Draws the panorama of a tick and fills the other outputs.
 pub(crate) fn draw(
     drawer: &mut Drawer,
     cx: &Context<'_>,
@@ -463,7 +464,7 @@ pub(crate) fn draw(
     slots.canvas.set(Roi { x: canvas.left, y: canvas.top, width, height })
 }
 
-/// Finds views and homographies that are connected in numbers that do not fit together.
+/// Reports connected views and homographies whose numbers do not match.
 pub(crate) fn check_views(check: &mut Validation<'_>) {
     let count = |name: &str| check.connections(name);
     let (Some(views), Some(maps), Some(left), Some(right)) =
@@ -472,14 +473,14 @@ pub(crate) fn check_views(check: &mut Validation<'_>) {
         return;
     };
     if views > MAX_VIEWS {
-        check.node_error(format!("{views} views are connected, {MAX_VIEWS} are the most"), "connect fewer");
+        check.node_error(format!("{views} connected views exceed the limit of {MAX_VIEWS}"), "connect fewer");
     } else if views > 0 && maps + 1 != views {
         check.node_error(
-            format!("{views} views need {} homographies, {maps} are connected", views - 1),
+            format!("{views} views need {} homographies, but {maps} are connected", views - 1),
             "connect one homography for each view but the first",
         );
     } else if views == 0 && (left == 0 || right == 0) {
-        check.node_warning("there are no two views to put together", "connect `left` and `right`, or `views`");
+        check.node_warning("no two views are connected", "connect `left` and `right`, or `views`");
     }
 }
 

@@ -1,4 +1,4 @@
-//! `composite_mesh`: views, their homographies and their disparity in, one wide picture without parallax at the seam out.
+//! `composite_mesh`: combines views, their homographies and their disparity into one wide image without parallax at the seam.
 
 use panoscope_imaging::geometry;
 use panoscope_imaging::stitch::{Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners};
@@ -11,43 +11,44 @@ use panoscope_node::{
 use crate::calibrated_views::{CalibratedViews, check_map};
 use crate::composite::{CompositeNodeParams, Drawer, OnLost, Scene, SceneInputs, Slots, check_views, draw};
 
-/// Columns of the table of vertices: their place in the panorama, from the left view's origin, and what they show of each view.
+/// Columns of the table of vertices: position in the panorama relative to the left view's origin, and the pixel of each view shown there.
 pub const VERTEX_COLUMNS: [&str; 6] = ["x_px", "y_px", "right_x_px", "right_y_px", "left_x_px", "left_y_px"];
-/// Columns of the table of vertices of more than two views: the number of the view as in `shown`, then the same.
+/// Columns of the table of vertices for more than two views: the number of the view as in `shown`, then the same.
 pub const VIEW_VERTEX_COLUMNS: [&str; 5] = ["view", "x_px", "y_px", "right_x_px", "right_y_px"];
 
 /// Parameters of the composite. Lengths of the mesh are for views 640 px wide and grow with the views.
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeMeshParams {
-    /// Side of a cell of the mesh.
+    /// Side of a mesh cell.
     #[param(default = 20, range = 12..=96, unit = "px")]
     cell: u32,
-    /// Smoothness of the mesh: weight of its bends beside what is observed in a cell.
+    /// Smoothness of the mesh: weight of its bending relative to the observations in a cell.
     #[param(default = 0.01, range = 0.001..=100.0, step = 0.001, unit = "ratio")]
     bend: f64,
-    /// How soon the mesh fades into the homography where nothing is observed: weight of its slopes.
+    /// Speed with which the mesh approaches the homography where nothing is observed: weight of its slopes.
     #[param(default = 0.005, range = 0.0..=10.0, step = 0.001, unit = "ratio")]
     fade: f64,
-    /// Largest change of a length where only the other camera sees, against the homography.
+    /// Maximum change of a length, relative to the homography, where only the other camera sees.
     #[param(default = 4.5, range = 0.0..=100.0, step = 0.5, unit = "%")]
     most_stretch: f64,
-    /// Width of the zone before the left view's border in which the mesh leaves the disparity for that: a wide one is smooth, a narrow one keeps more of
-    /// the overlap exact. With 0 the mesh follows the disparity up to the border and stretches what lies beyond.
+    /// Width of the zone before the left view's border in which the mesh departs from the disparity to limit that change. A wide zone is smooth; a
+    /// narrow one keeps more of the overlap exact. With 0 the mesh follows the disparity up to the border and stretches what is beyond.
     #[param(default = 60.0, range = 0.0..=400.0, step = 5.0, unit = "px")]
     zone_px: f64,
-    /// Distance from the mesh at which an observation counts a quarter: those of an instrument in front of the tissue do not count.
+    /// Distance from the mesh at which an observation has a quarter of its weight. Observations on an instrument in front of the tissue are further
+    /// away and do not count.
     #[param(default = 12.0, range = 0.2..=50.0, step = 0.1, unit = "px")]
     outlier_px: f64,
-    /// Weight of the mesh of the frame before while nothing moves; 0 fits each frame anew.
+    /// Weight of the previous frame's mesh while nothing moves; 0 fits each frame independently.
     #[param(default = 10.0, range = 0.0..=1000.0, step = 1.0, unit = "ratio")]
     steady: f64,
-    /// Shows each instrument in front of the tissue whole, by one of the views, and does not bend it; for `left` and `right`.
+    /// Shows each instrument in front of the tissue completely and unbent, from one of the views; for `left` and `right`.
     #[param(default = true)]
     instruments: bool,
-    /// Lowest score of a box at `detections`.
+    /// Minimum score of a box at `detections`.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
-    /// Number of `views` side by side in one row of cameras, which stand one baseline apart with parallel axes.
+    /// Number of `views` per row of cameras, which are one baseline apart with parallel axes.
     #[param(default = 2, range = 1..=8)]
     camera_columns: u32,
     #[param(flatten)]
@@ -55,7 +56,7 @@ pub struct CompositeMeshParams {
 }
 
 impl CompositeMeshParams {
-    /// For the camera that stands `along` baselines right of and below the first, `is_pair` when there is no third one.
+    /// Settings of the mesh for the camera `along` baselines right of and below the first; `is_pair` when there is no third one.
     fn mesh(&self, along: [f64; 2], is_pair: bool) -> MeshParams {
         MeshParams {
             along,
@@ -76,33 +77,33 @@ impl CompositeMeshParams {
 /// Inputs of the composite: `left`, `right`, `homography` and `disparity`, or `views`, `homographies` and `disparities`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view; the panorama lies in its plane.
+    /// Left view; the panorama is in its plane.
     left: Option<Image<'f, Bgr8>>,
     /// Right view of the same instant.
     right: Option<Image<'f, Bgr8>>,
-    /// Maps right-view pixels to left-view pixels: where only the right camera sees.
+    /// Maps right-view pixels to left-view pixels; used where only the right camera sees.
     homography: Option<Value<'f, Homography>>,
-    /// Disparity of the left rectified view, as large as the views or smaller by a whole factor: where both cameras see. Without it the homography
-    /// places the right view alone.
+    /// Disparity of the left rectified view, as large as the views or smaller by an integer factor; used where both cameras see. Without it the
+    /// homography alone places the right view.
     disparity: Option<Image<'f, Disparity>>,
-    /// Calibration of the views. Unconnected, they are taken as rectified.
+    /// Calibration of the views. Unconnected: they are assumed to be rectified.
     calibration: Option<Value<'f, Calibration>>,
-    /// Boxes of instruments in the left view, if there is a detector: what lies in front of the tissue there is an instrument sooner. Those of an
-    /// earlier picture will do.
+    /// Boxes of instruments in the left view, from a detector. Inside them, anything in front of the tissue is more readily treated as an instrument.
+    /// Boxes of an earlier frame are accepted.
     detections: Option<Detections<'f>>,
-    /// Nonzero on instruments in the left view, if something finds their outlines.
+    /// Nonzero on instruments in the left view, from a segmenting node.
     mask: Option<Image<'f, Mask>>,
     /// Two to eight views instead of `left` and `right`, row by row, of cameras one baseline apart with parallel axes.
     views: Option<List<'f, Image<'f, Bgr8>>>,
     /// One homography for each further view of `views`, which maps its pixels to the first view's.
     homographies: Option<List<'f, Value<'f, Homography>>>,
-    /// Disparities of the first of `views` with cameras one baseline away, each full size. The first that is known in a pixel counts.
+    /// Disparities of the first of `views` with cameras one baseline away, each at full size. In each pixel the first known value is used.
     disparities: Option<List<'f, Image<'f, Disparity>>>,
-    /// What of `left` is lit, not 0: only that is shown, compared and blended. Without it all is.
+    /// Nonzero where `left` is illuminated: only those pixels are shown, compared and blended. Unconnected: all pixels.
     mask_left: Option<Image<'f, Mask>>,
-    /// What of `right` is lit.
+    /// Nonzero where `right` is illuminated.
     mask_right: Option<Image<'f, Mask>>,
-    /// What of each of `views` is lit, in their order. Without them all is.
+    /// Nonzero where each of `views` is illuminated, in their order. Unconnected: all pixels.
     masks: Option<List<'f, Image<'f, Mask>>>,
 }
 
@@ -117,21 +118,21 @@ pub struct Out<'f> {
     canvas: Slot<'f, Roi>,
     /// View that each pixel shows: 0 none, 1 the left, 2 the right one.
     shown: Slot<'f, Gray8>,
-    /// Vertices of the mesh: which point of the right view, and of the left one, each point of the panorama shows. Empty before the first mesh. With
-    /// `views` those of all further views, one after the other, after the number of the view; the first view then stays as it is.
+    /// Vertices of the mesh: which pixel of the right view, and of the left one, each point of the panorama shows. Empty before the first mesh. With
+    /// `views`, those of all further views one after the other, each after the number of the view; the first view is then not bent.
     mesh: Slot<'f, TableData>,
-    /// How much more area the panorama covers than the first view, percent. Of a cropped one only what is lit counts.
+    /// Area of the panorama beyond that of the first view, percent. In a cropped panorama only illuminated pixels count.
     gain: Slot<'f, Scalar>,
-    /// The same as words: `+12 % over one view`. They change seldom.
+    /// The same as text: `+12 % over one view`. It changes rarely.
     gain_text: Slot<'f, TextPacket>,
 }
 
-/// Share of the border between two views along which the mesh guesses, from which on a warning says so, and below which it ends.
+/// Share of the border between two views along which the mesh has no observations: above the first a warning is logged, below the second it ends.
 const BLIND: [f64; 2] = [0.2, 0.1];
-/// Ticks in a row before the warning: a short blur needs none.
+/// Number of consecutive ticks before the warning, so that a short blur gives none.
 const BLIND_TICKS: u32 = 15;
 
-/// Warns when nothing says how the views lie beside each other along a part of their border.
+/// Warns when nothing determines the relative position of the views along a part of their border.
 #[derive(Default)]
 struct BlindWatch {
     ticks: u32,
@@ -145,24 +146,24 @@ impl BlindWatch {
         if self.ticks >= BLIND_TICKS && !self.is_blind {
             self.is_blind = true;
             cx.warn(&format!(
-                "along {:.0} % of the border between the views nothing matches: they share too little there, and the panorama may be off by many pixels. Move back from the tissue",
+                "along {:.0} % of the border between the views nothing matches: they overlap too little there, and the panorama may be wrong by many pixels. Move back from the tissue",
                 100.0 * report.blind
             ));
         } else if self.is_blind && !is_blind {
             self.is_blind = false;
-            cx.info("the views match again all along the border between them");
+            cx.info("the views match again along their whole border");
         }
     }
 }
 
-/// See the module.
+/// The `composite_mesh` node.
 pub struct CompositeMesh {
     drawer: Drawer,
     views: CalibratedViews,
     blind: BlindWatch,
-    /// One for each further view.
+    /// One follower for each further view.
     followers: Vec<MeshFollower>,
-    /// Disparity that several maps make together.
+    /// Disparity merged from several maps.
     joined: Vec<f32>,
     rows: Vec<f64>,
 }
@@ -181,7 +182,7 @@ fn push_vertices(rows: &mut Vec<f64>, view: Option<usize>, mesh: &Mesh, referenc
     }
 }
 
-/// The first view and a further one, as the disparity sees them.
+/// The first view and a further one as rectified cameras.
 fn cameras(
     views: &mut CalibratedViews,
     calibration: Option<&Calibration>,
@@ -192,14 +193,14 @@ fn cameras(
     if known != sizes {
         let [[(width, height), (right_width, right_height)], [left, right]] = [sizes, known];
         return Err(error!(
-            "the views are {width}x{height} and {right_width}x{right_height}, the calibration is for {}x{} and {}x{}: connect the calibration of these views",
+            "the views are {width}x{height} and {right_width}x{right_height}, but the calibration is for {}x{} and {}x{}: connect the calibration of these views",
             left.0, left.1, right.0, right.1
         ));
     }
     Ok(views.of(calibration, sizes)?)
 }
 
-/// Takes from each map what the ones before it do not know.
+/// Merges maps: each pixel takes the first map that knows it.
 fn join(joined: &mut Vec<f32>, maps: &List<'_, Image<'_, Disparity>>, (width, height): (usize, usize)) -> Result<()> {
     joined.clear();
     joined.resize(width * height, f32::NAN);
@@ -207,7 +208,7 @@ fn join(joined: &mut Vec<f32>, maps: &List<'_, Image<'_, Disparity>>, (width, he
         let map = map.view();
         if (map.width, map.height) != (width, height) {
             return Err(error!(
-                "a disparity is {}x{}, the first view {width}x{height}: connect disparities of the first view at full size",
+                "a disparity is {}x{}, but the first view is {width}x{height}: connect disparities of the first view at full size",
                 map.width, map.height
             ));
         }
@@ -220,7 +221,7 @@ fn join(joined: &mut Vec<f32>, maps: &List<'_, Image<'_, Disparity>>, (width, he
     Ok(())
 }
 
-/// What two meshes of a tick report together: the worst of both.
+/// Combines the reports of two meshes of a tick: the worse of both.
 fn worst(a: MeshReport, b: MeshReport) -> MeshReport {
     MeshReport {
         observations: a.observations.min(b.observations),
@@ -233,7 +234,7 @@ fn worst(a: MeshReport, b: MeshReport) -> MeshReport {
 }
 
 impl CompositeMesh {
-    /// Brings the mesh of a further view up to this tick, where both its homography and the disparity are good.
+    /// Updates the mesh of a further view for this tick, if both its homography and the disparity are good.
     fn follow(
         &mut self,
         cx: &Context<'_>,
@@ -253,7 +254,7 @@ impl CompositeMesh {
         Ok(Some(self.followers[view - 1].update(disparity, &first, &other, &map, cx.pool())))
     }
 
-    /// Tells the follower of a pair what a detector says about instruments.
+    /// Passes a detector's boxes and mask to the follower of a pair.
     fn hint(&mut self, input: &In<'_>, min_score: f32, (width, height): (usize, usize)) -> Result<()> {
         let hints = self.followers[0].hints_mut();
         hints.clear();
@@ -272,7 +273,7 @@ impl CompositeMesh {
             let mask = mask.view();
             if (mask.width, mask.height) != (width, height) {
                 return Err(error!(
-                    "`mask` is {}x{}, the left view {width}x{height}: connect a mask of the left view",
+                    "`mask` is {}x{}, but the left view is {width}x{height}: connect a mask of the left view",
                     mask.width, mask.height
                 ));
             }
@@ -281,7 +282,7 @@ impl CompositeMesh {
         Ok(())
     }
 
-    /// Brings all meshes up to this tick.
+    /// Updates all meshes for this tick.
     fn follow_all(
         &mut self,
         cx: &Context<'_>,
@@ -323,7 +324,7 @@ impl CompositeMesh {
         Ok(all)
     }
 
-    /// Writes the vertices of all meshes; nothing before the first.
+    /// Writes the vertices of all meshes; nothing before the first mesh.
     fn set_vertices(&mut self, slot: &mut Slot<'_, TableData>, count: usize, is_list: bool) -> Result<()> {
         self.rows.clear();
         for (index, follower) in self.followers.iter().take(count - 1).enumerate() {
@@ -355,13 +356,13 @@ impl Node for CompositeMesh {
         let depth = if is_list { "disparities" } else { "disparity" };
         if check.is_connected(depth) == Some(false) {
             check.node_warning(
-                "there is no disparity: the homography alone places the right view",
+                "no disparity is connected: the homography alone places the right view",
                 format!("connect `{depth}`, or use `composite`"),
             );
         }
         if is_list && check.is_connected("calibration") == Some(true) {
             check.node_error(
-                "a calibration is of two cameras, and `views` are taken as rectified",
+                "a calibration describes two cameras, but `views` must be rectified",
                 "leave `calibration` unconnected, or connect `left` and `right` instead of `views`",
             );
         }

@@ -1,4 +1,4 @@
-//! `cut_views`: one picture in, two overlapping views of it out, with the true homography between them.
+//! `cut_views`: cuts one image into two overlapping views with a known homography between them.
 
 use panoscope_imaging::stitch::cut::{self, CutParams};
 use panoscope_node::abi::{self, Homography, Roi};
@@ -10,10 +10,10 @@ pub struct CutViewsParams {
     /// Overlap of both views, as a share of their width.
     #[param(default = 0.5, range = 0.1..=0.9, step = 0.05, unit = "ratio")]
     overlap: f64,
-    /// Largest displacement of the right view's corners by its perspective.
+    /// Maximum displacement of the right view's corners by its perspective.
     #[param(default = 12.0, range = 0.0..=200.0, step = 1.0, unit = "px")]
     perspective_px: f64,
-    /// Amplitude of the movement of each corner of the right view; 0 stands still.
+    /// Amplitude of the movement of each corner of the right view; 0 keeps it still.
     #[param(default = 2.0, range = 0.0..=50.0, step = 0.5, unit = "px")]
     sway_px: f64,
     /// Period of the movement.
@@ -47,31 +47,31 @@ impl CutViewsParams {
 /// Inputs of the cut.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture to cut.
+    /// Image to cut.
     image: Image<'f, Bgr8>,
 }
 
 /// Outputs of the cut.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Left part of the picture, with noise.
+    /// Left part of the image, with noise.
     left: Slot<'f, Bgr8>,
-    /// Right part under another perspective, exposure and tint, with noise.
+    /// Right part with another perspective, exposure and tint, with noise.
     right: Slot<'f, Bgr8>,
     /// True homography: maps right-view pixels to left-view pixels.
     homography: Slot<'f, Homography>,
-    /// Rectangle of the left view in the picture, px.
+    /// Rectangle of the left view in the image, px.
     left_in_image: Slot<'f, Roi>,
 }
 
-/// See the module.
+/// The `cut_views` node.
 pub struct CutViews;
 
 impl Node for CutViews {
     const INFO: NodeInfo = NodeInfo::compute(
         "cut_views",
         "stitch",
-        "Cuts a picture into two overlapping views with another perspective, exposure and noise: real pictures with a true homography.",
+        "Cuts an image into two overlapping views with different perspective, exposure and noise: real images with a true homography.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

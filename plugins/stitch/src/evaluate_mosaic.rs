@@ -1,4 +1,4 @@
-//! `evaluate_mosaic`: where frames lie in a mosaic beside where they truly lie, one row per tick.
+//! `evaluate_mosaic`: positions of frames in a mosaic compared with their true positions, one row per tick.
 
 use panoscope_imaging::geometry::{Homography as Map, Point};
 use panoscope_node::abi::{self, Calibration, Homography, Pose};
@@ -6,9 +6,9 @@ use panoscope_node::{Context, Depth, Image, Node, NodeInfo, Open, Params, Ports,
 
 /// Columns of the table.
 const COLUMNS: [&str; 8] = ["tick", "state", "drift_px", "drift_mm", "drift_pct", "floor_px", "path_mm", "start_mm"];
-/// State of a tick without a homography.
+/// Value of `state` for a tick without a homography.
 const STATE_NONE: f64 = 3.0;
-/// Points per frame at least.
+/// Minimum number of points per frame.
 const MIN_POINTS: usize = 12;
 
 /// Parameters of the evaluation.
@@ -22,27 +22,27 @@ pub struct EvaluateMosaicParams {
 /// Inputs of the evaluation.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The map of the frame to evaluate.
+    /// The homography of the frame to evaluate.
     homography: Option<Value<'f, Homography>>,
     /// True pose of the camera in the scene.
     pose: Value<'f, Pose>,
     /// True depth of the frame.
     depth: Image<'f, Depth>,
-    /// True calibration; the left camera counts.
+    /// True calibration; only the left camera is used.
     calibration: Value<'f, Calibration>,
 }
 
 /// Outputs of the evaluation.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// A row for every tick so far; NaN where the frame has no position. `state`: 0 fresh, 2 lost, 3 none. `drift_px`: root mean square distance, over the
-    /// frame, between where the mosaic puts its points and where the camera of the first frame would see them; `drift_mm`: the same on the
-    /// tissue; `drift_pct`: of the camera's path so far. `floor_px`: what the best homography leaves, 0 for a plane. `start_mm`: distance of the
-    /// camera from where it began.
+    /// A row for every tick so far; NaN where the frame has no position. `state`: 0 fresh, 2 lost, 3 none. `drift_px`: root mean square distance,
+    /// over the frame, between where the mosaic puts its points and where the camera of the first frame would see them; `drift_mm`: the same on the
+    /// tissue; `drift_pct`: the same as a percentage of the camera's path so far. `floor_px`: residual of the best homography, 0 for a plane.
+    /// `start_mm`: distance of the camera from its first position.
     table: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `evaluate_mosaic` node.
 pub struct EvaluateMosaic {
     rows: Vec<f64>,
     first: Option<Pose>,
@@ -54,7 +54,7 @@ pub struct EvaluateMosaic {
     per_px_mm: Vec<f64>,
 }
 
-/// A vector turned by a quaternion `w, x, y, z`, or turned back.
+/// Rotates a vector by a quaternion `w, x, y, z`, or by its inverse if `back`.
 fn turned(q: [f64; 4], v: [f64; 3], back: bool) -> [f64; 3] {
     let sign = if back { -1.0 } else { 1.0 };
     let (w, u) = (q[0], [q[1] * sign, q[2] * sign, q[3] * sign]);
@@ -70,7 +70,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 impl EvaluateMosaic {
-    /// Points of the frame, where the camera of the first frame would see them, and the size of its pixels there.
+    /// Points of the frame, their positions in the camera of the first frame, and the size of its pixels there.
     fn points(&mut self, input: &In<'_>, first: &Pose, step: usize) {
         self.frame.clear();
         self.truth.clear();

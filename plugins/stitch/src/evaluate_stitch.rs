@@ -1,4 +1,4 @@
-//! `evaluate_stitch`: registration and panorama beside the truth, one row per tick.
+//! `evaluate_stitch`: registration and panorama compared with the ground truth, one row per tick.
 
 use panoscope_imaging::Rect;
 use panoscope_imaging::geometry::Homography as Map;
@@ -38,16 +38,16 @@ const COLUMNS: [&str; 21] = [
     "ghost_pct",
     "stretch_pct",
 ];
-/// State of a tick without a homography.
+/// Value of `state` for a tick without a homography.
 const STATE_NONE: f64 = 3.0;
 
 /// Parameters of the evaluation.
 #[derive(Params, Clone, PartialEq)]
 pub struct EvaluateParams {
-    /// Column of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra width.
+    /// Column of the left view's origin in the wide ground truth; -1: as in the phantom, an eighth of the extra width.
     #[param(default = -1, range = -1..=8192, unit = "px")]
     wide_x: i32,
-    /// Row of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra height.
+    /// Row of the left view's origin in the wide ground truth; -1: as in the phantom, an eighth of the extra height.
     #[param(default = -1, range = -1..=8192, unit = "px")]
     wide_y: i32,
     /// Half the width of the band along the seam that is compared.
@@ -56,16 +56,16 @@ pub struct EvaluateParams {
     /// Spacing of the true correspondences.
     #[param(default = 8, range = 1..=64, unit = "px")]
     step: u32,
-    /// Number of ticks between comparisons of pictures, which take longer than stitching.
+    /// Number of ticks between comparisons of images, which take longer than stitching.
     #[param(default = 3, range = 1..=1000, unit = "frames")]
     every: u32,
-    /// Without a connected truth, evaluates the alignment by correspondences found by correlation, on the same ticks.
+    /// If no ground truth is connected, evaluates the alignment by correspondences found by correlation, on the same ticks.
     #[param(default = false)]
     correlate: bool,
-    /// Columns by which the right view is displaced, in units of the true disparity.
+    /// Horizontal displacement of the right view, in units of the true disparity.
     #[param(default = 1.0, range = -8.0..=8.0, unit = "ratio")]
     along_x: f64,
-    /// Rows by which it is displaced: 1 for a camera one baseline below the left one.
+    /// Vertical displacement of the right view: 1 for a camera one baseline below the left one.
     #[param(default = 0.0, range = -8.0..=8.0, unit = "ratio")]
     along_y: f64,
     /// Number of the right view in `shown`.
@@ -96,7 +96,7 @@ pub struct In<'f> {
     visible: Option<Image<'f, Mask>>,
     /// True homography, or the best available.
     truth: Option<Value<'f, Homography>>,
-    /// Picture of one wide camera at the left camera's position.
+    /// Image of one wide camera at the left camera's position.
     wide: Option<Image<'f, Bgr8>>,
     /// 255 in each pixel of `wide` that at least one camera shows.
     footprint: Option<Image<'f, Mask>>,
@@ -107,21 +107,21 @@ pub struct In<'f> {
 /// Outputs of the evaluation.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// A row for every tick so far; NaN where there is no truth. `state`: 0 fresh, 1 held, 2 lost, 3 none. Areas over that of the left view:
-    /// `fov_pct` is covered by the panorama, `fov_truth_pct` lies in the footprint of all cameras, `fov_right_pct` in both.
+    /// A row for every tick so far; NaN where there is no ground truth. `state`: 0 fresh, 1 held, 2 lost, 3 none. Areas relative to that of the left
+    /// view: `fov_pct` is covered by the panorama, `fov_truth_pct` by the footprint of all cameras, `fov_right_pct` by both.
     table: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `evaluate_stitch` node.
 pub struct EvaluateStitch {
     rows: Vec<f64>,
     previous: Option<Placement>,
     ticks: u64,
 }
 
-/// The mesh of a view that `composite_mesh` wrote, and that of the left view: vertices row after row, at the multiples of the side of a cell.
+/// Reads the meshes of view `view` and of the left view from a table of `composite_mesh`: vertices row after row, at multiples of the cell's side.
 fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<(Mesh, Option<Mesh>)>> {
-    let bad = || error!("the table at `mesh` holds no mesh: connect the output `mesh` of a `composite_mesh`");
+    let bad = || error!("the table at `mesh` is not a mesh: connect the output `mesh` of a `composite_mesh`");
     let rows: Vec<&[f64]> = if table.names().eq(VERTEX_COLUMNS) {
         table.rows().collect()
     } else if table.names().eq(VIEW_VERTEX_COLUMNS) {
@@ -149,8 +149,7 @@ fn mesh_of(table: &Table<'_>, view: u32) -> Result<Option<(Mesh, Option<Mesh>)>>
     Ok(Some((of(2)?, has_left.then(|| of(4)).transpose()?)))
 }
 
-/// Root mean square distance of two maps over the points of the right view that the true one brings into the left view, and how
-/// many points that are.
+/// Root mean square distance of two maps over the points of the right view that the true one maps into the left view, and the number of these points.
 fn between(map: &Map, truth: &Map, left: (usize, usize), right: (usize, usize), step: u32) -> Option<(f64, usize)> {
     let (mut squares, mut count) = (0.0, 0usize);
     for y in (0..right.1).step_by(step.max(1) as usize) {
@@ -179,7 +178,7 @@ fn cropped_pct(map: &Map, right: (usize, usize), canvas: &Roi, panorama: (usize,
     f64::from(outside) * 100.0 / 1024.0
 }
 
-/// Column and row of the wide truth at which the left view begins.
+/// Column and row of the left view's origin in the wide ground truth.
 fn left_in_wide(input: &In<'_>, wide: (usize, usize), params: &EvaluateParams) -> (i32, i32) {
     let auto = |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
     match &input.left_in_wide {
@@ -188,7 +187,7 @@ fn left_in_wide(input: &In<'_>, wide: (usize, usize), params: &EvaluateParams) -
     }
 }
 
-/// Pixels that the panorama covers, that the footprint of all cameras has, and that both share.
+/// Numbers of pixels covered by the panorama, by the footprint of all cameras, and by both.
 fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offset: (i32, i32)) -> [usize; 3] {
     let covered = (0..shown.height).map(|y| shown.row(y).iter().filter(|v| **v != 0).count()).sum();
     let Some(footprint) = footprint else { return [covered, 0, 0] };
@@ -210,7 +209,7 @@ fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offs
     [covered, truth, both]
 }
 
-/// Compares the panorama with the wide truth, where both are connected.
+/// Compares the panorama with the wide ground truth, if both are connected.
 fn pictures(input: &In<'_>, map: &Map, params: &EvaluateParams) -> PictureMarks {
     let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
         return PictureMarks::default();
@@ -223,11 +222,80 @@ fn pictures(input: &In<'_>, map: &Map, params: &EvaluateParams) -> PictureMarks 
     compare_pictures(&panorama, &wide, sizes, map, params.seam_band as usize)
 }
 
+/// Alignment error, its floor (both px), and number of correspondences: with the true disparity, else with the true homography, else, on the ticks of
+/// `every`, by correlation. NaN where nothing is known.
+fn alignment(
+    input: &In<'_>,
+    map: &Map,
+    placed: &Placement,
+    params: &EvaluateParams,
+    is_compared: bool,
+    cx: &Context<'_>,
+) -> [f64; 3] {
+    let mut marks = [f64::NAN; 3];
+    if let Some(disparity) = &input.disparity {
+        let (along, step) = ([params.along_x, params.along_y], params.step as usize);
+        let visible = input.visible.as_ref().map(Image::view);
+        let pairs = TruePairs { disparity: disparity.view(), visible, along, step };
+        if let Some((align, count)) = placed.alignment(&pairs) {
+            (marks[0], marks[2]) = (align, count as f64);
+        }
+        let floor = match &input.truth {
+            Some(truth) => pairs.alignment(&Map(truth.left_from_right)).map(|(rms, _)| rms),
+            None => pairs.floor_px(),
+        };
+        marks[1] = floor.unwrap_or(f64::NAN);
+    } else if let Some(truth) = &input.truth {
+        let left = (input.left.width(), input.left.height());
+        let right = (input.right.width(), input.right.height());
+        if let Some((align, count)) = between(map, &Map(truth.left_from_right), left, right, params.step) {
+            marks = [align, 0.0, count as f64];
+        }
+    } else if params.correlate && is_compared {
+        let found = correlated(placed, input.left.view(), input.right.view(), cx.pool());
+        marks = [found.align_px, found.floor_px, found.points as f64];
+    }
+    marks
+}
+
+/// Break across the seam (median and maximum, as [`Placement::seam_break`] returns them) and stretch, percent; NaN where nothing is known.
+fn seam_marks(
+    input: &In<'_>,
+    placed: &Placement,
+    shown: View<'_, u8>,
+    canvas: &Roi,
+    params: &EvaluateParams,
+) -> [f64; 3] {
+    let (view, left_at) = (params.view as u8, (canvas.x, canvas.y));
+    let mut marks = [f64::NAN; 3];
+    if let Some(disparity) = &input.disparity {
+        let along = [params.along_x, params.along_y];
+        let visible = input.visible.as_ref().map(Image::view);
+        let pairs = TruePairs { disparity: disparity.view(), visible, along, step: 1 };
+        (marks[0], marks[1]) = placed.seam_break(&pairs, shown, view, left_at).unwrap_or((f64::NAN, f64::NAN));
+    }
+    let whole = Rect::whole(input.left.width(), input.left.height());
+    marks[2] = placed.stretch_pct(shown, view, whole, left_at).unwrap_or(f64::NAN);
+    marks
+}
+
+/// Areas relative to that of the left view, percent: covered by the panorama, by the footprint of all cameras, and by both; NaN where unknown.
+fn area_marks(input: &In<'_>, params: &EvaluateParams) -> [f64; 3] {
+    let Some(shown) = &input.shown else { return [f64::NAN; 3] };
+    let canvas = input.canvas.as_deref().copied();
+    let footprint = input.footprint.as_ref().filter(|_| canvas.is_some()).map(Image::view);
+    let offset = footprint.map_or((0, 0), |wide| left_in_wide(input, (wide.width, wide.height), params));
+    let areas = areas(shown.view(), footprint, canvas.unwrap_or_default(), offset);
+    let one = (input.left.width() * input.left.height()).max(1) as f64;
+    let [covered, truth, both] = areas.map(|pixels| 100.0 * pixels as f64 / one);
+    if footprint.is_some() { [covered, truth, both] } else { [covered, f64::NAN, f64::NAN] }
+}
+
 impl Node for EvaluateStitch {
     const INFO: NodeInfo = NodeInfo::compute(
         "evaluate_stitch",
         "stitch",
-        "Compares a registration and its panorama with the truth: alignment, likeness in the overlap and along the seam, jitter.",
+        "Compares a registration and its panorama with the ground truth: alignment, similarity in the overlap and along the seam, jitter.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -253,42 +321,15 @@ impl Node for EvaluateStitch {
         let mesh = input.mesh.as_ref().map(|mesh| mesh_of(mesh, params.view)).transpose()?.flatten();
         let (mesh, left_mesh) = mesh.map_or((None, None), |(mesh, left)| (Some(mesh), left));
         let placed = map.and_then(|map| Placement::new(map, mesh)).map(|placed| placed.with_reference(left_mesh));
-        let left = (input.left.width(), input.left.height());
+        let is_compared = self.ticks.is_multiple_of(u64::from(params.every));
         if let (Some(map), Some(placed), Some(given)) = (&map, &placed, &input.homography) {
             row[2] = f64::from(given.inliers);
-            let visible = input.visible.as_ref().map(Image::view);
-            if let Some(disparity) = &input.disparity {
-                let (along, step) = ([params.along_x, params.along_y], params.step as usize);
-                let pairs = TruePairs { disparity: disparity.view(), visible, along, step };
-                if let Some((align, count)) = placed.alignment(&pairs) {
-                    (row[3], row[5]) = (align, count as f64);
-                }
-                let floor = match &input.truth {
-                    Some(truth) => pairs.alignment(&Map(truth.left_from_right)).map(|(rms, _)| rms),
-                    None => pairs.floor_px(),
-                };
-                row[4] = floor.unwrap_or(NONE);
-            } else if let Some(truth) = &input.truth {
-                if let Some((align, count)) = between(map, &Map(truth.left_from_right), left, right, params.step) {
-                    (row[3], row[4], row[5]) = (align, 0.0, count as f64);
-                }
-            } else if params.correlate && self.ticks.is_multiple_of(u64::from(params.every)) {
-                let marks = correlated(placed, input.left.view(), input.right.view(), cx.pool());
-                [row[3], row[4], row[5]] = [marks.align_px, marks.floor_px, marks.points as f64];
-            }
+            [row[3], row[4], row[5]] = alignment(&input, map, placed, params, is_compared, cx);
             row[6] = self.previous.as_ref().and_then(|previous| placed.motion_px(previous, right)).unwrap_or(NONE);
             if let (Some(shown), Some(canvas)) = (&input.shown, &input.canvas) {
-                let (view, left_at) = (params.view as u8, (canvas.x, canvas.y));
-                if let Some(disparity) = &input.disparity {
-                    let along = [params.along_x, params.along_y];
-                    let pairs = TruePairs { disparity: disparity.view(), visible, along, step: 1 };
-                    let broken = placed.seam_break(&pairs, shown.view(), view, left_at);
-                    (row[17], row[18]) = broken.unwrap_or((NONE, NONE));
-                }
-                let whole = Rect::whole(left.0, left.1);
-                row[20] = placed.stretch_pct(shown.view(), view, whole, left_at).unwrap_or(NONE);
+                [row[17], row[18], row[20]] = seam_marks(&input, placed, shown.view(), canvas, params);
             }
-            if self.ticks.is_multiple_of(u64::from(params.every)) {
+            if is_compared {
                 let PictureMarks { whole, seam, ghost_pct } = pictures(&input, map, params);
                 (row[7], row[8]) = whole.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
                 (row[9], row[10]) = seam.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
@@ -298,18 +339,7 @@ impl Node for EvaluateStitch {
                 row[12] = cropped_pct(map, right, canvas, (panorama.width(), panorama.height()));
             }
         }
-        if let Some(shown) = &input.shown {
-            let canvas = input.canvas.as_deref().copied();
-            let footprint = input.footprint.as_ref().filter(|_| canvas.is_some()).map(Image::view);
-            let offset = footprint.map_or((0, 0), |wide| left_in_wide(&input, (wide.width, wide.height), params));
-            let areas = areas(shown.view(), footprint, canvas.unwrap_or_default(), offset);
-            let one = (input.left.width() * input.left.height()).max(1) as f64;
-            let [covered, truth, both] = areas.map(|pixels| 100.0 * pixels as f64 / one);
-            row[11] = covered;
-            if footprint.is_some() {
-                (row[15], row[16]) = (truth, both);
-            }
-        }
+        [row[11], row[15], row[16]] = area_marks(&input, params);
         if let Some(panorama) = &input.panorama {
             (row[13], row[14]) = (panorama.width() as f64, panorama.height() as f64);
         }

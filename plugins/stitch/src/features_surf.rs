@@ -6,25 +6,25 @@ use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports,
 /// Parameters of the features.
 #[derive(Params, Clone, PartialEq)]
 pub struct FeaturesSurfParams {
-    /// Least determinant of the Hessian of a keypoint.
+    /// Minimum determinant of the Hessian of a keypoint.
     #[param(default = 100.0, range = 0.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
-    /// Largest number of keypoints per view, strongest first; 0 takes all.
+    /// Maximum number of keypoints per view, strongest first; 0 keeps all.
     #[param(default = 0, range = 0..=100_000, unit = "points")]
     max_points: u32,
     /// Octaves of the scale space.
     #[param(default = 4, range = 1..=4)]
     octaves: u32,
-    /// Filters per octave.
+    /// Number of filters per octave.
     #[param(default = 4, range = 3..=8)]
     layers: u32,
-    /// Ignores the orientation of keypoints: for cameras that are hardly rotated against each other.
+    /// Ignores the orientation of keypoints, for cameras that are hardly rotated relative to each other.
     #[param(default = false)]
     upright: bool,
-    /// Power of the size by which responses are divided for ranking: fine detail is located more exactly.
+    /// Exponent of the size by which responses are divided for ranking: larger values prefer fine detail, which is located more precisely.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.1)]
     fine_bias: f32,
-    /// Doubles the picture first: finer keypoints, about four times the time. Only with `scale` 1.
+    /// Doubles the size of the image first: finer keypoints, about four times the time. Only with `scale` 1.
     #[param(default = false)]
     upsample: bool,
     /// Size of the descriptor's window relative to the usual one.
@@ -33,13 +33,13 @@ pub struct FeaturesSurfParams {
     /// Descriptors of 128 instead of 64 elements, from a narrow and a wide window: more correct matches, slower.
     #[param(default = false)]
     extended: bool,
-    /// Locates each keypoint more exactly with Gaussian derivatives; slow.
+    /// Locates each keypoint more precisely with Gaussian derivatives; slow.
     #[param(default = true)]
     second_look: bool,
-    /// Factor by which the picture is shrunk before the search.
+    /// Factor by which the image is reduced before the search.
     #[param(default = 1, range = 1..=8)]
     scale: u32,
-    /// Largest ratio of the best to the second-best distance of a match.
+    /// Maximum ratio of the best to the second-best distance of a match.
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
     /// Keeps a match only when each point is the other's best.
@@ -85,7 +85,7 @@ pub struct Out<'f> {
     matches: Slot<'f, TableData>,
 }
 
-/// See the module.
+/// The `features_surf` node.
 pub struct FeaturesSurf {
     surf: Surf,
     matcher: Matcher,

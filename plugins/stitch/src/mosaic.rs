@@ -1,4 +1,4 @@
-//! `mosaic`: one moving camera in, a growing picture of all that it has seen out (thesis, section 2.5).
+//! `mosaic`: builds a growing image of everything that one moving camera has seen (thesis, section 2.5).
 
 use std::fmt::Write;
 
@@ -10,81 +10,82 @@ use panoscope_node::{
     Bgr8, Choice, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation,
 };
 
-/// Which maps between keyframes are allowed.
+/// Model of the maps between keyframes.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Model {
     /// Eight parameters: exact for a plane, however the camera moves.
     Homography,
     /// Six parameters: no perspective.
     Affine,
-    /// Four parameters: shift, turn and scale.
+    /// Four parameters: translation, rotation and scale.
     Similarity,
 }
 
-/// Which part of the mosaic is shown.
+/// Region of the mosaic that is shown.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum ShownPart {
-    /// All of it, scaled down in steps as it grows.
+    /// The whole mosaic, scaled down in steps as it grows.
     Fit,
-    /// The part around the newest frame, at the scale `zoom`.
+    /// The region around the newest frame, at the scale `zoom`.
     Follow,
 }
 
 /// Parameters of the mosaic.
 #[derive(Params, Clone, PartialEq)]
 pub struct MosaicNodeParams {
-    /// Width of the picture.
+    /// Width of the output image.
     #[param(default = 1280, range = 64..=8192, unit = "px")]
     width: u32,
-    /// Height of the picture.
+    /// Height of the output image.
     #[param(default = 960, range = 64..=8192, unit = "px")]
     height: u32,
-    /// Which part of the mosaic is shown.
+    /// Region of the mosaic that is shown.
     #[param(default = "fit")]
     view: ShownPart,
-    /// Pixels of the picture per pixel of the first frame: the maximum for `fit`, fixed for `follow`.
+    /// Pixels of the output per pixel of the first frame: the maximum for `fit`, fixed for `follow`.
     #[param(default = 1.0, range = 0.05..=2.0, step = 0.05, unit = "ratio")]
     zoom: f64,
-    /// Registers against earlier keyframes too, and distributes the error of closed loops. Off: registers against the newest keyframes only.
+    /// Also registers against earlier keyframes, and distributes the error of closed loops. Off: registers only against the newest keyframes.
     #[param(default = true)]
     loop_closure: bool,
-    /// Largest number of keyframes. A new one then replaces the oldest, with its part of the picture. One of 640x480 takes 1.4 MB.
+    /// Maximum number of keyframes. Beyond it a new one replaces the oldest, together with its part of the mosaic. A keyframe of 640x480 takes 1.4
+    /// MB.
     #[param(default = 60, range = 2..=500)]
     max_keyframes: u32,
     /// Overlap with keyframes below which a frame becomes a keyframe.
     #[param(default = 0.7, range = 0.3..=0.95, step = 0.01, unit = "ratio")]
     keyframe_overlap: f64,
-    /// Model of the maps between keyframes. Fewer parameters drift less on curved tissue and fit a tilting camera worse.
+    /// Model of the maps between keyframes. Fewer parameters drift less on curved tissue but fit a tilting camera worse.
     #[param(default = "homography")]
     model: Model,
-    /// Factor by which the picture is shrunk before features are found.
+    /// Factor by which the image is reduced before features are found.
     #[param(default = 2, range = 1..=8)]
     scale: u32,
-    /// Least determinant of the Hessian of a keypoint.
+    /// Minimum determinant of the Hessian of a keypoint.
     #[param(default = 50.0, range = 1.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
-    /// Largest number of keypoints per frame.
+    /// Maximum number of keypoints per frame.
     #[param(default = 500, range = 50..=10000, unit = "points")]
     max_points: u32,
-    /// Ignores the orientation of keypoints: for a scope that hardly turns about its axis.
+    /// Ignores the orientation of keypoints, for a scope that hardly rotates about its axis.
     #[param(default = false)]
     upright: bool,
-    /// Largest ratio of the best to the second-best distance of a match.
+    /// Maximum ratio of the best to the second-best distance of a match.
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
     /// Radius around the predicted position in which matches are searched first; 0 searches everywhere.
     #[param(default = 80.0, range = 0.0..=1000.0, step = 1.0, unit = "px")]
     gate_px: f32,
-    /// Largest reprojection error of an inlier.
+    /// Maximum reprojection error of an inlier.
     #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Smallest number of inliers of a registration; 1.6 times as many without a prediction and for closed loops.
+    /// Minimum number of inliers of a registration; 1.6 times as many without a prediction and for closed loops.
     #[param(default = 15, range = 6..=1000, unit = "points")]
     min_inliers: u32,
-    /// Smallest share of matches that are inliers; 1.6 times as large without a prediction and for closed loops.
+    /// Minimum share of matches that are inliers; 1.6 times as large without a prediction and for closed loops.
     #[param(default = 0.25, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_inlier_share: f64,
-    /// Movement of keyframes in the picture after which the mosaic is drawn again.
+    /// Movement of keyframes in the image after which the mosaic is redrawn.
     #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "px")]
     redraw_px: f64,
     /// Equalises the exposure of keyframes.
@@ -93,7 +94,7 @@ pub struct MosaicNodeParams {
     /// Draws the newest frame on top, with its border.
     #[param(default = true)]
     live: bool,
-    /// Marks the picture while the camera is lost.
+    /// Marks the output while the camera is lost.
     #[param(default = true)]
     mark_lost: bool,
     /// Each change of this number starts a new mosaic.
@@ -144,24 +145,24 @@ impl MosaicNodeParams {
 /// Inputs of the mosaic.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The camera's picture; all of one size.
+    /// Frames of the camera; all of one size.
     image: Image<'f, Bgr8>,
 }
 
 /// Outputs of the mosaic.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The mosaic; black where nothing was seen.
+    /// The mosaic; black where nothing has been seen.
     mosaic: Slot<'f, Bgr8>,
-    /// Maps pixels of this frame to those of the first keyframe. State: fresh, or lost (then the last good map).
+    /// Maps pixels of this frame to those of the first keyframe. State: fresh, or lost (with the last good map).
     homography: Slot<'f, Homography>,
     /// Maps pixels of the first keyframe to those of `mosaic`.
     view: Slot<'f, Homography>,
     /// One row per tick. `state`: 0 fresh, 2 lost. `coverage_pct`: area of the keyframes in percent of one frame. `drift_px`, `drift_pct`: error of
-    /// the last closed loop before it was distributed, and in percent of the loop's length; NaN before any. `spread_px`: distance of the keyframes'
-    /// shared points after the last adjustment.
+    /// the last closed loop before it was distributed, in px and as a percentage of the loop's length; NaN before the first one. `spread_px`:
+    /// distance of the keyframes' shared points after the last adjustment.
     table: Slot<'f, TableData>,
-    /// The same as text, one line each.
+    /// The main figures as text, one line each.
     text: Slot<'f, TextPacket>,
 }
 
@@ -183,7 +184,7 @@ pub const COLUMNS: [&str; 14] = [
     "spread_px",
 ];
 
-/// See the module.
+/// The `mosaic` node.
 pub struct Mosaic {
     kernel: mosaic::Mosaic,
     restart: u32,
@@ -199,17 +200,17 @@ fn state_of(report: &MosaicReport) -> u32 {
 }
 
 impl Mosaic {
-    /// Logs when the camera is lost and found, once each.
+    /// Logs once each when the camera is lost and when it is found again.
     fn log_state(&mut self, cx: &Context<'_>, report: &MosaicReport) {
         let is_lost = report.state == MosaicState::Lost;
         if is_lost && !self.was_lost && report.keyframes == 0 {
-            cx.warn("the mosaic cannot begin: the picture has too few features; lower `hessian_threshold`, or look at the source");
+            cx.warn("the mosaic cannot start: the frame has too few features; lower `hessian_threshold`, or check the source");
         } else if is_lost && !self.was_lost {
             cx.warn(
-                "the camera is lost: the frame matches no keyframe, and nothing is added until one does; move the scope back to what the mosaic shows, or change `restart` to begin a new one",
+                "the camera is lost: the frame matches no keyframe, and nothing is added until one does; move the scope back to what the mosaic shows, or change `restart` to start a new mosaic",
             );
         } else if !is_lost && self.was_lost {
-            cx.info("the camera is found again");
+            cx.info("the camera has been found again");
         }
         self.was_lost = is_lost;
     }
@@ -245,7 +246,7 @@ impl Node for Mosaic {
     const INFO: NodeInfo = NodeInfo::compute(
         "mosaic",
         "stitch",
-        "Adds each picture of one moving camera to a mosaic of all that it has seen; closed loops take the drift away.",
+        "Adds each frame of one moving camera to a mosaic of everything it has seen; closed loops remove the drift.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -256,7 +257,7 @@ impl Node for Mosaic {
             check.error(
                 "min_inliers",
                 format!(
-                    "{} inliers are asked for, but a frame has {} keypoints at most",
+                    "`min_inliers` asks for {} inliers, but a frame has at most {} keypoints",
                     params.min_inliers, params.max_points
                 ),
                 "lower `min_inliers` to half of `max_points` or less",

@@ -1,4 +1,4 @@
-//! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
+//! `register_grid`: computes the homography between two views from a disparity map (thesis, chapter 4).
 
 use panoscope_imaging::features::RegisterSurf;
 use panoscope_imaging::geometry::RansacParams;
@@ -15,7 +15,7 @@ use crate::registration::{HoldParams, Out, Registered, Reporter};
 /// Point that a grid cell contributes.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
-    /// The middle of the cell with the median of its disparities.
+    /// The centre of the cell with the median of its disparities.
     Median,
     /// The valid pixel with the largest disparity.
     Peak,
@@ -24,10 +24,10 @@ pub enum Point {
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
 pub struct RegisterGridParams {
-    /// Rows of the grid on the overlap.
+    /// Number of rows of the grid on the overlap.
     #[param(default = 9, range = 2..=100)]
     rows: u32,
-    /// Columns of the grid on the overlap.
+    /// Number of columns of the grid on the overlap.
     #[param(default = 24, range = 2..=200)]
     columns: u32,
     /// Point that each cell contributes.
@@ -36,13 +36,13 @@ pub struct RegisterGridParams {
     /// Spacing of the pixels that are read in a cell.
     #[param(default = 3, range = 1..=16, unit = "px")]
     scale: u32,
-    /// Share of a cell's pixels that must have a disparity.
+    /// Minimum share of a cell's pixels that have a disparity.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     least_valid: f32,
-    /// Largest reprojection error of an inlier.
+    /// Maximum reprojection error of an inlier.
     #[param(default = 4.0, range = 0.2..=40.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Smallest number of inliers of a registration.
+    /// Minimum number of inliers of a registration.
     #[param(default = 12, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     #[param(flatten)]
@@ -75,28 +75,28 @@ impl RegisterGridParams {
 /// Inputs of the registration.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Disparity of the left rectified view, as large as the pictures to stitch or smaller by a whole factor.
+    /// Disparity of the left rectified view, as large as the views or smaller by an integer factor.
     disparity: Option<Image<'f, Disparity>>,
-    /// Calibration of the pictures to stitch. The homography is between these pictures, not between the rectified views, unless the calibration says
-    /// that they are rectified. Unconnected, they are taken as rectified.
+    /// Calibration of the views. The homography is between these views, not between the rectified ones, unless the calibration states that they are
+    /// rectified. Unconnected: they are assumed to be rectified.
     calibration: Option<Value<'f, Calibration>>,
-    /// Left view: with `right`, registered by its features in a tick without a disparity.
+    /// Left view. With `right` connected too, a tick without a disparity is registered by features.
     left: Option<Picture<'f>>,
     /// Right view of the same instant.
     right: Option<Picture<'f>>,
 }
 
-/// See the module.
+/// The `register_grid` node.
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
     views: CalibratedViews,
-    /// For ticks without a disparity.
+    /// Registration by features, for ticks without a disparity.
     features: Option<RegisterSurf>,
     reporter: Reporter,
 }
 
 impl RegisterGridNode {
-    /// A tick without a disparity: registers by features, as `register_surf` does with its defaults. Does nothing where the views are not connected.
+    /// Registers a tick without a disparity by features, as `register_surf` does with its defaults. Does nothing if the views are not connected.
     fn by_features(
         &mut self,
         cx: &Context<'_>,
@@ -106,7 +106,7 @@ impl RegisterGridNode {
     ) -> Result<()> {
         let (Some(left), Some(right)) = (&input.left, &input.right) else { return Ok(()) };
         if self.features.is_none() {
-            cx.warn("there is no disparity: the views are registered by their features, and one homography joins them");
+            cx.warn("no disparity arrived: the views are registered by their features, with one homography");
         }
         let wanted = register_surf::by_default(&params.keep);
         let kernel = self.features.get_or_insert_with(|| RegisterSurf::new(wanted));
@@ -140,7 +140,7 @@ impl Node for RegisterGridNode {
         let is_open = |name: &str| check.is_connected(name) == Some(false);
         if is_open("disparity") && (is_open("left") || is_open("right")) {
             check.node_error(
-                "there is nothing to register by",
+                "neither a disparity nor two views are connected",
                 "connect `disparity`, as in disparity = \"match.disparity\", or the views `left` and `right`",
             );
         }
@@ -168,7 +168,7 @@ impl Node for RegisterGridNode {
         }
         let Some(disparity) = &input.disparity else { return self.by_features(cx, &input, &mut out, params) };
         if self.features.take().is_some() {
-            cx.info("there is a disparity: the views are registered by it from now on");
+            cx.info("a disparity arrived: it is used to register the views from now on");
         }
         let size = (disparity.width(), disparity.height());
         // Without a calibration the pictures tell their own size.

@@ -1,4 +1,4 @@
-//! `register_surf`: two views in, the homography between them out (thesis, chapter 2, Algs 2.1 and 2.2).
+//! `register_surf`: computes the homography between two views by their features (thesis, chapter 2, Algs 2.1 and 2.2).
 
 use panoscope_imaging::features::{self, MatchParams, RegisterParams, SurfParams};
 use panoscope_imaging::geometry::ransac::RansacParams;
@@ -9,42 +9,42 @@ use crate::registration::{HoldParams, Out, Registered, Reporter};
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
 pub struct RegisterSurfParams {
-    /// Searches only the overlap of the previous frame, shrunk by `scale`. Off: searches whole frames at full size.
+    /// Searches only the overlap of the previous frame, reduced by `scale`. Off: searches whole frames at full size.
     #[param(default = true)]
     roi: bool,
-    /// Factor by which the search regions are shrunk when `roi` is on.
+    /// Factor by which the search regions are reduced when `roi` is on.
     #[param(default = 2, range = 1..=8)]
     scale: u32,
-    /// Least determinant of the Hessian of a keypoint.
+    /// Minimum determinant of the Hessian of a keypoint.
     #[param(default = 50.0, range = 1.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
-    /// Largest number of keypoints per view, strongest first.
+    /// Maximum number of keypoints per view, strongest first.
     #[param(default = 400, range = 16..=10000, unit = "points")]
     max_points: u32,
-    /// Spreads the keypoints over the search region: each cell of a 6 x 4 grid takes its share before the strongest fill the rest.
+    /// Distributes the keypoints over the search region: each cell of a 6 x 4 grid takes its share before the strongest fill the rest.
     #[param(default = true)]
     spread: bool,
-    /// Locates each keypoint more exactly with Gaussian derivatives; doubles the time.
+    /// Locates each keypoint more precisely with Gaussian derivatives; doubles the time.
     #[param(default = false)]
     second_look: bool,
     /// Octaves of the scale space.
     #[param(default = 4, range = 1..=4)]
     octaves: u32,
-    /// Ignores the orientation of keypoints: for cameras that are hardly rotated against each other.
+    /// Ignores the orientation of keypoints, for cameras that are hardly rotated relative to each other.
     #[param(default = true)]
     upright: bool,
-    /// Largest ratio of the best to the second-best distance of a match.
+    /// Maximum ratio of the best to the second-best distance of a match.
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
-    /// Largest reprojection error of an inlier.
+    /// Maximum reprojection error of an inlier.
     #[param(default = 5.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Smallest number of inliers of a registration.
+    /// Minimum number of inliers of a registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     #[param(flatten)]
     keep: HoldParams,
-    /// Finds narrow overlaps too: when whole views do not match, searches facing sides at full size. Only with `roi`.
+    /// Also finds narrow overlaps: when whole views do not match, searches facing sides at full size. Only with `roi`.
     #[param(default = false)]
     strips: bool,
 }
@@ -80,7 +80,7 @@ impl RegisterSurfParams {
     }
 }
 
-/// What the kernel does with this node's defaults.
+/// Settings of the kernel with this node's defaults.
 pub(crate) fn by_default(keep: &HoldParams) -> RegisterParams {
     RegisterSurfParams {
         roi: true,
@@ -103,13 +103,13 @@ pub(crate) fn by_default(keep: &HoldParams) -> RegisterParams {
 /// Inputs of the registration.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view; its pixels are the ones that the homography maps to.
+    /// Left view; the homography maps to its pixels.
     left: Image<'f, Gray8>,
     /// Right view of the same instant.
     right: Image<'f, Gray8>,
 }
 
-/// See the module.
+/// The `register_surf` node.
 pub struct RegisterSurf {
     kernel: features::RegisterSurf,
     reporter: Reporter,

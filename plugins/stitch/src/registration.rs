@@ -1,4 +1,4 @@
-//! What registration nodes share: outputs, the parameters that keep a homography, the warnings.
+//! Shared by registration nodes: outputs, the parameters that hold a homography, warnings.
 
 use panoscope_imaging::Rect;
 use panoscope_imaging::geometry::{self, RegistrationMonitor, RegistrationState, RmsWatch};
@@ -10,31 +10,31 @@ use panoscope_node::{Context, Params, Ports, Result, Slot};
 pub struct Out<'f> {
     /// Maps right-view pixels to left-view pixels, with its state: fresh, held or lost.
     homography: Slot<'f, Homography>,
-    /// Part of the left view that the right view shows too.
+    /// Part of the left view that the right view also shows.
     roi_left: Slot<'f, Roi>,
-    /// Part of the right view that the left view shows too.
+    /// Part of the right view that the left view also shows.
     roi_right: Slot<'f, Roi>,
 }
 
-/// Parameters of every registration: how long a homography is kept, and when it is given up.
+/// Parameters of every registration: how long a homography is held, and when it is lost.
 #[derive(Params, Clone, PartialEq)]
 pub struct HoldParams {
-    /// Keeps the previous homography while its median error on the new inliers is below this; 0 fits anew in every frame.
+    /// Keeps the previous homography while its median error on the new inliers is below this; 0 fits every frame independently.
     #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
     pub stability_px: f64,
-    /// Weight of the previous frame's homography beside that of all inliers. It steadies the parts of the picture that the overlap does not
-    /// determine; 0 fits the inliers alone.
+    /// Weight of the previous frame's homography relative to all inliers. It stabilises the parts of the image that the overlap does not determine; 0
+    /// fits only the inliers.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
     pub anchor_fit: f64,
-    /// Largest root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all.
+    /// Maximum root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all.
     #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
     pub max_rms_px: f64,
-    /// Number of failed frames in a row during which the previous homography counts as held; after them it is lost.
+    /// Number of consecutive failed frames during which the previous homography counts as held; after that it is lost.
     #[param(default = 5, range = 0..=1000, unit = "frames")]
     pub hold_frames: u32,
 }
 
-/// Reports a registration that gets worse or is lost, and makes the outputs.
+/// Logs when a registration gets worse or is lost, and sets the outputs.
 #[derive(Default)]
 pub struct Reporter {
     rms: RmsWatch,
@@ -42,10 +42,10 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// One tick. `help` says what a user can do when the views no longer fit together.
+    /// Finishes one tick. `help` says what a user can do when the views no longer match.
     ///
     /// # Errors
-    /// The host has no memory.
+    /// The host has no frame memory left.
     pub fn finish(
         &mut self,
         cx: &Context<'_>,
@@ -66,11 +66,11 @@ pub struct Registered<'a> {
     pub left_from_right: &'a geometry::Homography,
     /// Root mean square distance of the inliers in px.
     pub rms_px: f64,
-    /// The same of a homography that was refused for it.
+    /// The same for a homography that was refused because of it.
     pub refused_rms_px: Option<f64>,
     /// Number of inliers.
     pub inliers: usize,
-    /// Fresh, held or lost.
+    /// State of the registration: fresh, held or lost.
     pub state: RegistrationState,
     /// Overlap in the left view.
     pub roi_left: &'a Rect,
@@ -78,7 +78,7 @@ pub struct Registered<'a> {
     pub roi_right: &'a Rect,
 }
 
-/// The state as a constant of the ABI.
+/// Converts the state to a constant of the ABI.
 fn abi_state(state: RegistrationState) -> u32 {
     match state {
         RegistrationState::Fresh => abi::STATE_FRESH,
@@ -92,7 +92,7 @@ fn roi(rect: &Rect) -> Roi {
 }
 
 impl Out<'_> {
-    /// Makes all outputs.
+    /// Sets all outputs.
     fn set(&mut self, found: &Registered<'_>) -> Result<()> {
         self.homography.set(Homography {
             left_from_right: found.left_from_right.0,

@@ -1,16 +1,16 @@
-//! How much more a panorama shows than one view, as a number and as words for a screen.
+//! Area that a panorama shows beyond one view, as a number and as text for a screen.
 
 use std::fmt::Write;
 
 use panoscope_node::abi::Scalar;
 use panoscope_node::{Result, Slot, TextPacket};
 
-/// Below this gain the words say that it is small, percent.
+/// Gain below which the text says that it is small, percent.
 const LITTLE_PERCENT: f64 = 5.0;
-/// The words change when the gain differs by more than this from what they say, percent.
+/// Change of the gain that changes the text, percent.
 const SAME_PERCENT: f64 = 0.75;
 
-/// The gain of a panorama over its first view. Its words do not flicker between two numbers.
+/// Gain of a panorama over its first view. Its text does not flicker between two numbers.
 #[derive(Debug, Default)]
 pub struct ViewGain {
     told_percent: Option<f64>,
@@ -18,7 +18,7 @@ pub struct ViewGain {
 }
 
 impl ViewGain {
-    /// Takes the gain of a tick, percent.
+    /// Updates the gain with that of a tick, percent.
     pub fn update(&mut self, percent: f64) {
         if self.told_percent.is_some_and(|told| (percent - told).abs() <= SAME_PERCENT) {
             return;
@@ -36,7 +36,7 @@ impl ViewGain {
     /// Writes the outputs that are read.
     ///
     /// # Errors
-    /// The host has no memory.
+    /// The host has no frame memory left.
     pub fn set(&self, percent: f64, number: &mut Slot<'_, Scalar>, text: &mut Slot<'_, TextPacket>) -> Result<()> {
         if number.is_read() {
             number.set_scalar("gain over one view", percent, "%")?;

@@ -1,4 +1,4 @@
-//! The composite as a node: what it counts, what it crops.
+//! The node `composite`: its metrics and its crop.
 
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::harness::Harness;
@@ -11,7 +11,7 @@ fn view() -> Vec<u8> {
     (0..SIZE.0 * SIZE.1 * 3).map(|i| (i * 7 % 251) as u8).collect()
 }
 
-/// Seams that the node has counted after so many equal frames.
+/// Number of seams after this many equal frames.
 fn seams_after(frames: u64, params: &str) -> f64 {
     let mut node = Harness::<Composite>::from_toml(&format!("params = {{ {params} }}")).unwrap();
     let map = [1.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
@@ -110,7 +110,7 @@ fn tissue(first: usize) -> Vec<u8> {
     (0..SIZE.0 * SIZE.1).flat_map(|i| [level(i); 3]).collect()
 }
 
-/// Frame `seq` of a scope at 20 Hz.
+/// Shows frame `seq` of a scope at 20 Hz.
 fn show(node: &mut Harness<Composite>, seq: u64, map: Homography) {
     node.at_tick(seq, seq as i64 * 50_000_000)
         .input_image::<Bgr8>("left", SIZE.0, SIZE.1, &tissue(0))

@@ -1,4 +1,4 @@
-//! What the node `composite` does when a registration is lost.
+//! The node `composite` while a registration is lost.
 
 use panoscope_node::Bgr8;
 use panoscope_node::abi::{Homography, STATE_FRESH, STATE_LOST};
@@ -7,7 +7,7 @@ use panoscope_stitch::composite::Composite;
 
 const SIZE: (usize, usize) = (160, 120);
 
-/// A view with enough structure for a seam.
+/// A view with enough texture for a seam.
 fn view(shift: usize) -> Vec<u8> {
     (0..SIZE.0 * SIZE.1 * 3).map(|i| ((i / 3 % SIZE.0 + shift) * 7 + i / (3 * SIZE.0) * 5 + i % 3 * 40) as u8).collect()
 }
@@ -20,7 +20,7 @@ fn node(params: &str) -> Harness<Composite> {
     Harness::open(Setup::new(&format!("params = {{ {params} }}"))).unwrap()
 }
 
-/// Whether a tick with this registration gives a panorama and a mask.
+/// Whether a tick with this registration makes a panorama and a mask.
 fn composes(node: &mut Harness<Composite>, homography: Homography) -> (bool, bool) {
     node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &view(0));
     node.input_image::<Bgr8>("right", SIZE.0, SIZE.1, &view(60));

@@ -1,4 +1,4 @@
-//! The composite by a mesh as a node: what it draws, what it holds, what it refuses.
+//! The node `composite_mesh`: what it draws, holds and refuses.
 
 use panoscope_node::abi::{self, Calibration, Homography, Roi};
 use panoscope_node::harness::{Harness, Setup};
@@ -19,7 +19,7 @@ fn map() -> Vec<f32> {
         .collect()
 }
 
-/// Stripes of the tissue at a position of the left view.
+/// Colour of the striped tissue at a position of the left view.
 fn tissue(x: f64, y: f64) -> [u8; 3] {
     let wave = 60.0 * (0.35 * x + (0.04 * y).sin()).sin() + 30.0 * (0.21 * y).sin();
     [110.0, 90.0, 140.0].map(|base| (base + wave) as u8)
@@ -48,7 +48,7 @@ struct Made {
     panorama: Vec<u8>,
     size: (usize, usize),
     canvas: Roi,
-    /// Rows of the mesh, if there is one.
+    /// Rows of the mesh table, if there is one.
     mesh: Option<Vec<f64>>,
 }
 
@@ -116,7 +116,7 @@ fn a_smaller_disparity_does_as_well() {
     let whole = difference(&made((SIZE.0 / 2, SIZE.1 / 2), &small).expect("a panorama"));
     assert!(whole < 8.0, "{whole} levels");
     let error = made((SIZE.0, SIZE.1 / 2), &large[..SIZE.0 * SIZE.1 / 2]).err().expect("an error").to_string();
-    assert!(error.contains("320x120") && error.contains("320x240") && error.contains("whole factor"), "{error}");
+    assert!(error.contains("320x120") && error.contains("320x240") && error.contains("integer factor"), "{error}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A composite on the GPU: what the processor draws but for rounding, and the processor where there is none.
+//! A composite on the GPU: equal to the processor's except for rounding; without a GPU the processor draws.
 
 use panoscope_node::Bgr8;
 use panoscope_node::abi::{self, Homography};

@@ -1,4 +1,4 @@
-//! A homography that does not fit is not called fresh.
+//! A homography that does not fit is not reported as fresh.
 
 use panoscope_node::abi::{self, Calibration, Homography};
 use panoscope_node::harness::{Harness, Level, Setup};
@@ -20,7 +20,7 @@ fn calibration() -> Calibration {
     found
 }
 
-/// A plane at 60 px, and steps of `step_px` on it in stripes that no plane follows.
+/// A plane at 60 px of disparity, with stripes offset by `step_px` that no plane fits.
 fn steps(step_px: f32) -> Vec<f32> {
     (0..SIZE.0 * SIZE.1).map(|i| if (i / SIZE.0 / 30).is_multiple_of(2) { 60.0 } else { 60.0 + step_px }).collect()
 }
@@ -62,7 +62,7 @@ fn the_grid_holds_and_then_loses_what_does_not_fit() {
     assert!(found.state == abi::STATE_FRESH && found.rms_px > 8.0, "{}", found.rms_px);
 }
 
-/// Spots whose left place is the right one moved by 100 px and, in every other row of spots, by 16 px more.
+/// Spots whose left position is the right one moved by 100 px and, in every other row of spots, by 16 px more.
 fn spots(side: usize) -> Vec<u8> {
     let mut view = vec![60_u8; SIZE.0 * SIZE.1];
     for spot in 0..60_usize {
@@ -96,7 +96,7 @@ fn without_a_disparity_the_views_are_registered_by_features() {
         }
         let found: Homography = node.process().unwrap().value("homography").unwrap();
         let said = |word: &str| node.logs().iter().filter(|line| line.message.contains(word)).count();
-        (found, said("registered by their features"), said("registered by it from now on"))
+        (found, said("registered by their features"), said("to register the views from now on"))
     };
     let (found, warnings, _) = look(false);
     let [x, y] = panoscope_imaging::geometry::Homography(found.left_from_right).map([80.0, 100.0]);
@@ -111,7 +111,7 @@ fn without_a_disparity_the_views_are_registered_by_features() {
     );
     assert_eq!((warnings, back, look(false).1), (1, 1, 2));
     let nothing = Harness::<RegisterGridNode>::problems(&Setup::new(""), &["left", "calibration"]).unwrap();
-    assert!(format!("{nothing:?}").contains("there is nothing to register by"), "{nothing:?}");
+    assert!(format!("{nothing:?}").contains("neither a disparity nor two views are connected"), "{nothing:?}");
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn features_that_no_plane_explains_are_not_called_fresh() {
     assert!(node.logs().iter().any(|line| line.message.contains("`max_rms_px` allows 4")), "{:?}", node.logs());
 }
 
-/// Every other pixel of a map, in its own pixels.
+/// Every other pixel of a map, with disparities in its own pixels.
 fn half(map: &[f32]) -> Vec<f32> {
     let pixels = |y: usize| map[y * SIZE.0..(y + 1) * SIZE.0].iter().step_by(2);
     (0..SIZE.1).step_by(2).flat_map(pixels).map(|d| d / 2.0).collect()
@@ -165,7 +165,7 @@ fn a_smaller_map_registers_the_pictures_that_it_belongs_to() {
     node.input_image::<Disparity>("disparity", 200, 120, &vec![60.0; 200 * 120])
         .input_value("calibration", calibration());
     let error = node.process().err().expect("an error").to_string();
-    assert!(error.contains("200x120") && error.contains("320x240") && error.contains("whole factor"), "{error}");
+    assert!(error.contains("200x120") && error.contains("320x240") && error.contains("integer factor"), "{error}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Instruments in the composite by a mesh: with a mask one is whole that lies just before the tissue.
+//! Instruments in the composite by a mesh: with a mask, an instrument just in front of the tissue stays whole.
 
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::harness::{Harness, Setup};
@@ -6,11 +6,11 @@ use panoscope_node::{Bgr8, Disparity, Gray8, Mask};
 use panoscope_stitch::CompositeMesh;
 
 const SIZE: (usize, usize) = (320, 240);
-/// Disparity of the tissue, and of the instrument: too little before it to be separated from a fold.
+/// Disparity of the tissue, and of the instrument: too little in front to be distinguished from a fold.
 const TISSUE_PX: f64 = 106.0;
 const TOOL_PX: f64 = 111.0;
 
-/// A bar from the right border far into what both views see.
+/// Whether a pixel is on the bar, which extends from the right border far into the overlap.
 fn is_tool(x: f64, y: f64) -> bool {
     x > 150.0 && (108.0..132.0).contains(&y)
 }
@@ -27,7 +27,7 @@ fn picture(shift: f64) -> Vec<u8> {
     (0..SIZE.0 * SIZE.1).flat_map(pixel).collect()
 }
 
-/// Pixels of the bar in the overlap that come from the left and from the right view.
+/// Number of the bar's pixels in the overlap from the left and from the right view.
 fn shown(node: &mut Harness<CompositeMesh>, hint: impl Fn(&mut Harness<CompositeMesh>)) -> [usize; 2] {
     let (left, right) = (picture(0.0), picture(TISSUE_PX));
     let map: Vec<f32> = (0..SIZE.0 * SIZE.1)

@@ -1,4 +1,4 @@
-//! The node `mosaic`: what it puts out as a camera moves, is lost, and begins anew; and its judge.
+//! The node `mosaic` while a camera moves, is lost, and restarts; and `evaluate_mosaic`.
 
 use panoscope_node::Bgr8;
 use panoscope_node::abi::{Homography, STATE_FRESH, STATE_LOST};
@@ -32,7 +32,7 @@ fn node(params: &str) -> Harness<Mosaic> {
     Harness::open(Setup::new(&format!("params = {{ scale = 1, width = 640, height = 480, {params} }}"))).unwrap()
 }
 
-/// What a tick says: the frame's place and a row of the table by name.
+/// Outputs of a tick: the frame's position and a row of the table by name.
 struct Tick {
     homography: Homography,
     row: Vec<f64>,

@@ -1,33 +1,33 @@
-//! Probabilities from a network's scores, by what the detector found on operations that its training left out.
+//! Converts a network's scores to probabilities, fitted on what the detector found in operations that its training left out.
 //!
 //! `panoscope eval detect --folds` fits the numbers, `export_detector.py --calibration` writes them into the model: `calibration_score` and
-//! `calibration_objectness` as temperature and bias, `class_limits` as a probability per class, `class_limits_precision` as the share of right boxes
-//! above them.
+//! `calibration_objectness` as temperature and bias, `class_limits` as a probability per class, `class_limits_precision` as the share of correct
+//! boxes above them.
 
 use crate::candidates::Candidate;
 
-/// A calibration that cannot be used.
+/// The calibration in a model's metadata cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{key}` in the model's metadata is `{value}`, expected {expected}; export the model again")]
+#[error("`{key}` in the model's metadata is `{value}`; expected {expected}: export the model again")]
 pub struct CalibrationError {
     /// Key of the metadata.
     pub key: &'static str,
-    /// What it holds.
+    /// Value found there.
     pub value: String,
-    /// What it should hold.
+    /// Description of valid values.
     pub expected: String,
 }
 
 /// Probability `1 / (1 + exp(-(logit(score) / temperature + bias)))` of a score.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Curve {
-    /// Above 1 for a network that is too sure of itself.
+    /// Above 1 for an overconfident network.
     pub temperature: f32,
-    /// Added to the logit; below 0 for a network that finds too much.
+    /// Added to the logit; below 0 for a network that detects too much.
     pub bias: f32,
 }
 
-/// Nearest to 0 and 1 that a score counts.
+/// Scores are clamped to this distance from 0 and 1.
 const EDGE: f32 = 1e-6;
 
 fn logit(p: f32) -> f32 {
@@ -63,28 +63,28 @@ impl Curve {
     }
 }
 
-/// Finite numbers separated by spaces; none when one is not a number.
+/// Parses finite numbers separated by spaces; `None` if one is not a number.
 pub(crate) fn numbers(text: &str) -> Option<Vec<f32>> {
     let parsed: Result<Vec<f32>, _> = text.split_whitespace().map(str::parse).collect();
     parsed.ok().filter(|all| all.iter().all(|v: &f32| v.is_finite()))
 }
 
-/// How scores of a model become probabilities.
+/// Conversion of a model's scores to probabilities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
-    /// Probability that a box and its class are right.
+    /// Probability that a box and its class are correct.
     pub score: Curve,
-    /// Probability that a box is on an instrument of any class, from the objectness alone; none where it was not measured.
+    /// Probability that a box is on an instrument of any class, from the objectness alone; `None` if it was not measured.
     pub objectness: Option<Curve>,
-    /// Least probability of each class at which the share of right boxes was as large as asked for; empty where none was.
+    /// Minimum probability of each class at which the requested share of boxes was correct; empty if there was none.
     pub limits: Vec<f32>,
 }
 
 impl Calibration {
-    /// Reads the calibration of a model with `classes` classes from its metadata; none where it has none.
+    /// Reads the calibration of a model with `classes` classes from its metadata; `None` if it has none.
     ///
     /// # Errors
-    /// Numbers that are missing, not finite, or do not fit the number of classes.
+    /// Numbers are missing, not finite, or do not match the number of classes.
     pub fn read<'a>(
         classes: usize,
         metadata: impl Fn(&str) -> Option<&'a str>,
@@ -107,31 +107,31 @@ impl Calibration {
     }
 }
 
-/// What a calibrated detector reports.
+/// Rules for what a calibrated detector reports.
 #[derive(Clone, Copy, Debug)]
 pub struct Rule<'a> {
     /// The model's calibration.
     pub calibration: &'a Calibration,
-    /// Lowest probability that is reported.
+    /// Minimum probability that is reported.
     pub min_score: f32,
-    /// Least probability of the class of a box, given that it is on an instrument; below it the class is `unknown`. 0: never.
+    /// Minimum probability of the class of a box, given that it is on an instrument. Below it the class is `unknown`. 0: never.
     pub unknown_below: f32,
     /// Index of the class `unknown`.
     pub unknown: u32,
-    /// Uses the model's own limit of each class where it is above `min_score`.
+    /// Applies the model's own limit of each class if it is above `min_score`.
     pub own_limits: bool,
 }
 
 impl Rule<'_> {
-    /// The least score and the least objectness of a row that may be reported, as the network gives them.
+    /// Minimum score and minimum objectness, as the network outputs them, of a row that may be reported.
     pub fn floors(&self) -> (f32, f32) {
         let objectness = self.calibration.objectness.filter(|_| self.unknown_below > 0.0);
         (self.calibration.score.score(self.min_score), objectness.map_or(f32::INFINITY, |c| c.score(self.min_score)))
     }
 
-    /// Turns scores into probabilities, calls boxes of unsure class `unknown`, and drops what is below the limits.
+    /// Converts scores to probabilities, labels boxes of uncertain class as `unknown`, and drops what is below the limits.
     ///
-    /// The probability of an `unknown` box is that of its being on an instrument of any class.
+    /// The probability of an `unknown` box is that of being on an instrument of any class.
     pub fn apply(&self, candidates: &mut Vec<Candidate>) {
         candidates.retain_mut(|candidate| {
             let named = self.calibration.score.probability(candidate.score);

@@ -6,72 +6,54 @@ use crate::export_kind::ExportKind;
 use crate::letterbox::Placement;
 use crate::session::Tensor;
 
-/// Outputs that do not fit the kind of export.
+/// Why the outputs do not fit the kind of export.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum DecodeError {
-    /// No outputs.
+    /// The network has no outputs.
     #[error("the network returned nothing")]
     NoOutput,
-    /// The first output holds no 32-bit floats.
-    #[error("the network's first output is no f32 tensor")]
+    /// The first output is not a tensor of 32-bit floats.
+    #[error("the network's first output is not an f32 tensor")]
     NotFloat,
-    /// A number of dimensions that the kind does not have.
-    #[error("the output of a {kind} network has three dimensions")]
-    Dimensions {
-        /// Kind of export.
-        kind: &'static str,
-    },
-    /// Rows that do not fit the size of the input.
+    /// The number of dimensions does not fit the kind.
+    #[error("the output of a {kind} network must have three dimensions")]
+    Dimensions { kind: &'static str },
+    /// The number of rows does not fit the size of the input.
     #[error("{rows} rows of {values} values do not fit a YOLOX input of {width}x{height}")]
-    YoloxRows {
-        /// Rows of the output.
-        rows: usize,
-        /// Values of a row.
-        values: usize,
-        /// Columns of the input, px.
-        width: usize,
-        /// Rows of the input, px.
-        height: usize,
-    },
-    /// Rows of a length that the kind does not have.
-    #[error("{rows} boxes of {values} values are no output of a {kind} network")]
-    Rows {
-        /// Kind of export.
-        kind: &'static str,
-        /// Boxes of the output.
-        rows: usize,
-        /// Values of a box.
-        values: usize,
-    },
-    /// DETR without its two outputs.
-    #[error("a DETR network has the outputs logits 1xNxC and boxes 1xNx4")]
+    YoloxRows { rows: usize, values: usize, width: usize, height: usize },
+    /// The length of the rows does not fit the kind.
+    #[error("{rows} boxes of {values} values do not fit the output of a {kind} network")]
+    Rows { kind: &'static str, rows: usize, values: usize },
+    /// A DETR network lacks one of its two outputs.
+    #[error("a DETR network must have the outputs logits 1xNxC and boxes 1xNx4")]
     DetrOutputs,
-    /// DETR with another type of values.
-    #[error("logits and boxes of a DETR network are f32")]
+    /// An output of a DETR network has another type of values.
+    #[error("logits and boxes of a DETR network must be f32")]
     DetrType,
-    /// DETR with outputs of different lengths.
-    #[error("logits and boxes of a DETR network have equally many rows")]
+    /// The outputs of a DETR network have different lengths.
+    #[error("logits and boxes of a DETR network must have the same number of rows")]
     DetrRows,
 }
 
-/// A box before suppression, in px of the picture.
+/// A box before suppression, in px of the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// Left, top, right, bottom.
     pub corners: [f32; 4],
     /// Confidence, 0 to 1.
     pub score: f32,
-    /// Confidence that something is there at all, 0 to 1; the score where the family has no such output.
+    /// Confidence that there is any object, 0 to 1; equal to the score if the family has no such output.
     pub objectness: f32,
     /// Index of the class.
     pub class_index: u32,
-    /// Row of the network's output.
+    /// Index of the row in the network's output.
     pub row: u32,
 }
 
 impl Candidate {
-    /// A box given by corners in px of the network's input, moved to a picture of `picture` px (width, height). None when it is not finite, or empty in
-    /// the picture.
+    /// Converts a box given by corners in px of the network's input to an image of `picture` px (width, height). `None` when it is not finite, or
+    /// empty inside the image.
     pub fn placed(
         placement: &Placement,
         picture: (usize, usize),
@@ -97,31 +79,31 @@ fn sigmoid(v: f32) -> f32 {
     1.0 / (1.0 + (-v).exp())
 }
 
-/// The best class of a row and its score.
+/// Index and score of the best class of a row.
 fn best(scores: impl Iterator<Item = f32>) -> (u32, f32) {
     scores.enumerate().fold((0, f32::NEG_INFINITY), |b, (i, s)| if s > b.1 { (i as u32, s) } else { b })
 }
 
-/// Collects candidates above `score`, in the picture's pixels.
+/// Collects candidates above a score, in px of the image.
 pub struct Decoder<'a> {
-    /// Kind of the export.
+    /// Kind of export.
     pub kind: ExportKind,
-    /// Width and height in px of the network's input.
+    /// Width and height of the network's input, px.
     pub input: (usize, usize),
-    /// Placement of the picture in the input.
+    /// Placement of the image in the input.
     pub placement: Placement,
-    /// Width and height in px of the picture.
+    /// Width and height of the image, px.
     pub picture: (usize, usize),
-    /// Lowest score that is retained.
+    /// Minimum score of candidates.
     pub min_score: f32,
-    /// Lowest objectness that is retained whatever the score; infinite: none. Families without it have none.
+    /// Minimum objectness at which a candidate is kept whatever its score; infinite: none. For families without objectness, none.
     pub min_objectness: f32,
-    /// The candidates.
+    /// The candidates; new ones are appended.
     pub out: &'a mut Vec<Candidate>,
 }
 
 impl Decoder<'_> {
-    /// A box given by corners in px of the input.
+    /// Adds a box given by corners in px of the input.
     fn push(&mut self, corners: [f32; 4], score: f32, class_index: u32, row: usize) {
         self.out.extend(Candidate::placed(&self.placement, self.picture, corners, score, class_index, row));
     }
@@ -135,7 +117,7 @@ impl Decoder<'_> {
         );
     }
 
-    /// A row of objectness, then classes: kept by its score or by its objectness.
+    /// Adds a row of objectness and classes if its score or its objectness is high enough.
     fn push_object(&mut self, b: [f32; 4], objectness: f32, class: u32, p: f32, row: usize) {
         let score = objectness * p;
         if score > self.min_score || objectness > self.min_objectness {
@@ -145,10 +127,10 @@ impl Decoder<'_> {
         }
     }
 
-    /// Decodes `outputs`. Checks shapes again, because a network of free size may change them.
+    /// Decodes `outputs`. Checks the shapes again, because a network of variable size may change them.
     ///
     /// # Errors
-    /// Outputs that do not fit the kind.
+    /// The outputs do not fit the kind.
     pub fn decode(&mut self, outputs: &[Tensor<'_>]) -> Result<(), DecodeError> {
         self.out.clear();
         let first = outputs.first().ok_or(DecodeError::NoOutput)?;
@@ -267,33 +249,33 @@ pub fn iou(a: &[f32; 4], b: &[f32; 4]) -> f32 {
     if union > 0.0 { w * h / union } else { 0.0 }
 }
 
-/// Smallest share of a box that is lit.
+/// Minimum illuminated share of a box.
 const MIN_LIT: f32 = 0.5;
 
-/// Drops boxes of a picture of `size` px of which more than half is dark. A mask of another size drops none.
+/// Drops boxes of which more than half is dark, in an image of `size` px. A mask of another size drops none.
 pub fn keep_lit(candidates: &mut Vec<Candidate>, lit: &HeldMask, size: (usize, usize)) {
     if let Some(lit) = lit.part().filter(|lit| lit.size() == size) {
         candidates.retain(|candidate| lit.share_of(candidate.corners) >= MIN_LIT);
     }
 }
 
-/// How overlapping boxes suppress each other.
+/// Parameters of non-maximum suppression.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Suppression {
-    /// Overlap (intersection over union) above which the worse box is dropped.
+    /// Overlap (intersection over union) above which the box with the lower score is dropped.
     pub max_overlap: f32,
-    /// Boxes of different classes suppress each other too.
+    /// Boxes of different classes also suppress each other.
     pub is_agnostic: bool,
-    /// Largest number of boxes.
+    /// Maximum number of boxes.
     pub max_boxes: usize,
     /// Class of boxes whose kind is unknown: any other box suppresses them, whatever its score, and they suppress no other.
     pub unknown: Option<u32>,
 }
 
-/// Boxes beyond `max_boxes` that are counted.
+/// Maximum number of boxes beyond `max_boxes` that are counted.
 const MAX_COUNTED: usize = 1000;
 
-/// Non-maximum suppression: retains the best of overlapping boxes, highest score first. Ties go to the earlier row, so that the result does not depend
+/// Non-maximum suppression: keeps the best of overlapping boxes, highest score first. Ties go to the earlier row, so that the result does not depend
 /// on the sort. Returns how many further boxes `max_boxes` left out, up to a thousand.
 pub fn suppress(candidates: &mut Vec<Candidate>, rule: &Suppression) -> usize {
     let is_unknown = |c: &Candidate| Some(c.class_index) == rule.unknown;

@@ -1,4 +1,4 @@
-//! `evaluate_detections`: boxes beside the true ones, counted since the start.
+//! `evaluate_detections`: detected boxes compared with the true ones, counted since the start.
 
 use panoscope_imaging::detect::{Find, Object, Tally, normal_name};
 use panoscope_node::abi::Scalar;
@@ -6,46 +6,46 @@ use panoscope_node::{Context, Detections, Node, NodeInfo, Open, Params, Ports, R
 
 use crate::yolo::UNKNOWN;
 
-/// Inputs.
+/// Input ports of `evaluate_detections`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The boxes to evaluate. A tick without them counts as nothing found.
+    /// Boxes to evaluate. A tick without them counts as no detection.
     detections: Option<Detections<'f>>,
-    /// True boxes, such as `detections` of the phantom or of `read_labels`. An object with a score of 0 neither helps nor harms.
+    /// True boxes, such as `detections` of the phantom or of `read_labels`. An object with a score of 0 is ignored.
     truth: Detections<'f>,
 }
 
-/// Outputs, counted over all ticks since the start: the last ones are those of the run. NaN where nothing came to divide by.
+/// Outputs, counted over all ticks since the start: the last ones are those of the run. NaN where the divisor is 0.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Percent of the detections of at least `min_score` that meet an object of their class at an overlap of 0.5.
+    /// Percentage of the detections of at least `min_score` that match an object of their class with an overlap of 0.5.
     precision_pct: Slot<'f, Scalar>,
-    /// Percent of the objects that are met by such a detection.
+    /// Percentage of the objects that are matched by such a detection.
     recall_pct: Slot<'f, Scalar>,
     /// COCO's average precision at an overlap of 0.5, over all scores, mean of the classes that have objects.
     ap50_pct: Slot<'f, Scalar>,
-    /// A row for each class in the order of `truth`'s labels, further classes after them: `class`, `objects`, `detections` of at least
-    /// `min_score`, `hits`, and the three numbers above.
+    /// A row for each class in the order of `truth`'s labels, further classes after them: `class`, `objects`, `detections` of at least `min_score`,
+    /// `hits`, and the three numbers above.
     table: Slot<'f, TableData>,
 }
 
-/// Parameters.
+/// Parameters of `evaluate_detections`.
 #[derive(Params)]
 pub struct EvaluateDetectionsParams {
-    /// Score from which a detection counts for precision and recall.
+    /// Minimum score of a detection that counts for precision and recall.
     #[param(default = 0.5, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f64,
 }
 
 /// Columns of the table.
 const COLUMNS: [&str; 7] = ["class", "objects", "detections", "hits", "precision_pct", "recall_pct", "ap50_pct"];
-/// Maximum number of classes that are told apart.
+/// Maximum number of classes that are distinguished.
 const MAX_CLASSES: usize = 1000;
 
-/// See the module.
+/// The `evaluate_detections` node.
 #[derive(Default)]
 pub struct EvaluateDetections {
-    /// Class names, normalised, in the order in which they came.
+    /// Normalised class names, in order of first appearance.
     names: Vec<String>,
     tally: Tally,
     objects: Vec<Object>,
@@ -54,7 +54,7 @@ pub struct EvaluateDetections {
 }
 
 impl EvaluateDetections {
-    /// Number of a class by its name.
+    /// Index of a class by its name; new names are added.
     fn class(&mut self, label: &str) -> usize {
         let name = normal_name(label);
         self.names.iter().position(|known| *known == name).unwrap_or_else(|| {

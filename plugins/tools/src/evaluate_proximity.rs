@@ -1,28 +1,28 @@
-//! `evaluate_proximity`: false and missed warnings beside distances that are known exactly.
+//! `evaluate_proximity`: false and missed warnings, compared with exactly known distances.
 
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, error};
 use panoscope_tracking::proximity::{Judge, Rule, Verdict};
 
 use crate::proximity;
 
-/// Inputs.
+/// Input ports of `evaluate_proximity`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Table of `proximity`. A tip without a row has no warning.
     table: Option<Table<'f>>,
-    /// True distances (`clearance` of the phantom): `track_id`, `seen`, `tissue_mm`, `tip_mm`. Ticks in which a tip is not seen are not evaluated.
+    /// True distances (`clearance` of the phantom): `track_id`, `seen`, `tissue_mm`, `tip_mm`. Ticks in which a tip is not visible are not evaluated.
     truth: Table<'f>,
 }
 
-/// Outputs.
+/// Output ports of `evaluate_proximity`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Counts since the start, for all tips together. The first row takes thresholds exactly, the second one tolerates `margin_mm` around them.
+    /// Counts since the start, for all tips together. The first row applies the thresholds exactly, the second one tolerates `margin_mm` around them.
     /// Columns for warnings of tissue, then of other tips.
     table: Slot<'f, TableData>,
 }
 
-/// Parameters. The first four as `proximity` has them.
+/// Parameters. The first four must match those of `proximity`.
 #[derive(Params)]
 pub struct JudgeParams {
     /// Distance to the tissue below which a tip counts as near.
@@ -37,10 +37,10 @@ pub struct JudgeParams {
     /// Time for which a distance must stay beyond a threshold before a warning begins or ends.
     #[param(default = 60.0, range = 0.0..=5000.0, step = 10.0, unit = "ms", reopen)]
     min_ms: f64,
-    /// Tolerance around each threshold: approaches and warnings within it count neither as right nor as wrong.
+    /// Tolerance around each threshold: approaches and warnings within it count neither as correct nor as wrong.
     #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "mm", reopen)]
     margin_mm: f64,
-    /// Longest delay of a warning.
+    /// Maximum delay of a warning.
     #[param(default = 200.0, range = 0.0..=5000.0, step = 10.0, unit = "ms", reopen)]
     delay_ms: f64,
 }
@@ -77,18 +77,18 @@ struct Tip {
     judges: [[Judge; 2]; 2],
 }
 
-/// See the module.
+/// The `evaluate_proximity` node.
 #[derive(Default)]
 pub struct EvaluateProximity {
     tips: Vec<Tip>,
 }
 
-/// Positions of columns in a table.
+/// Indices of columns in a table.
 fn columns<const N: usize>(table: &Table<'_>, what: &str, names: [&str; N]) -> Result<[usize; N]> {
     let mut places = [0; N];
     for (place, name) in places.iter_mut().zip(names) {
         *place = table.names().position(|n| n == name).ok_or_else(|| {
-            error!("the table at `{what}` has no column `{name}`: wire a table with {}", names.join(", "))
+            error!("the table at `{what}` has no column `{name}`: connect a table with {}", names.join(", "))
         })?;
     }
     Ok(places)
@@ -98,7 +98,7 @@ impl Node for EvaluateProximity {
     const INFO: NodeInfo = NodeInfo::compute(
         "evaluate_proximity",
         "tools",
-        "Counts false and missed warnings of `proximity` beside distances that are known exactly.",
+        "Counts false and missed warnings of `proximity`, compared with exactly known distances.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

@@ -6,47 +6,47 @@ use crate::finite::Rows;
 use crate::letterbox::{BORDER, Fit, PixelForm};
 use crate::session::{Tensor, list_text};
 
-/// A model of no known kind.
+/// The outputs match no known kind of export.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{path} answers {shapes} to a picture of {width}x{height}: expected 1x{cells}x(5+C) (YOLOX), 1x{anchors}x(5+C) (YOLOv5), 1x(4+C)x{cells} (YOLOv8 and later), 1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`, or with `family` in a table of `onnx`",
+    "{path} returns {shapes} for an image of {width}x{height}; expected 1x{cells}x(5+C) (YOLOX), 1x{anchors}x(5+C) (YOLOv5), 1x(4+C)x{cells} (YOLOv8 and later), 1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`, or with `family` in a table of `onnx`",
     path = path.display(), anchors = 3 * cells
 )]
 pub struct UnknownKind {
     /// File of the model.
     pub path: PathBuf,
-    /// Names and shapes of its outputs.
+    /// Names and shapes of its outputs, as text.
     pub shapes: String,
     /// Columns of its input, px.
     pub width: usize,
     /// Rows of its input, px.
     pub height: usize,
-    /// Cells that an anchor-free head has for this input.
+    /// Number of cells that an anchor-free head has for this input.
     pub cells: usize,
 }
 
 /// A family of exports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportKind {
-    /// 1 x N x (5 + C), centres and sizes relative to the grid (YOLOX).
+    /// YOLOX: 1 x N x (5 + C), centres and sizes relative to the grid.
     YoloxRaw,
-    /// 1 x N x (5 + C), in px of the input (YOLOX with `decode_in_inference`).
+    /// YOLOX with `decode_in_inference`: 1 x N x (5 + C), in px of the input.
     YoloxDecoded,
-    /// 1 x N x (5 + C), three anchors a cell (YOLOv5, v7).
+    /// YOLOv5, v7: 1 x N x (5 + C), three anchors per cell.
     YoloV5,
-    /// 1 x (4 + C + extra) x N (YOLOv8, 9, 11, 12; their -seg forms with mask coefficients, their -pose forms with keypoints).
+    /// YOLOv8, 9, 11, 12: 1 x (4 + C + extra) x N; the -seg forms with mask coefficients, the -pose forms with keypoints.
     YoloV8 {
-        /// Mask coefficients or numbers of keypoints at the end of each column.
+        /// Number of mask coefficients or keypoint values at the end of each column.
         extra: usize,
     },
-    /// 1 x N x (6 + keypoints), corners, score, class (YOLOv10, YOLO26).
+    /// YOLOv10, YOLO26: 1 x N x (6 + keypoints), corners, score, class.
     EndToEnd,
-    /// Logits 1 x N x C and boxes 1 x N x 4 in shares of the input (DETR family).
+    /// DETR family: logits 1 x N x C and boxes 1 x N x 4, as shares of the input.
     Detr,
 }
 
 impl ExportKind {
-    /// Form of the pixels that the family takes.
+    /// Pixel form that the family expects.
     pub fn pixel_form(self) -> PixelForm {
         let unit = PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Centre, border: BORDER };
         match self {
@@ -56,12 +56,12 @@ impl ExportKind {
         }
     }
 
-    /// How the rows of an output lie in memory.
+    /// Memory layout of the rows of an output.
     pub fn rows(self) -> Rows {
         if matches!(self, Self::YoloV8 { .. }) { Rows::Columns } else { Rows::Whole }
     }
 
-    /// Number of classes, by the shapes of the outputs.
+    /// Number of classes, from the shapes of the outputs.
     pub fn classes(self, outputs: &[Tensor<'_>]) -> usize {
         let last = |i: usize| outputs.get(i).and_then(|t| t.shape.last().copied()).unwrap_or(0);
         match self {
@@ -76,16 +76,16 @@ impl ExportKind {
     }
 }
 
-/// Cells of all levels of an anchor-free head.
+/// Total number of cells of an anchor-free head.
 fn cells(input: (usize, usize)) -> usize {
     [8, 16, 32].iter().map(|s| (input.0 / s) * (input.1 / s)).sum()
 }
 
-/// Recognises the kind from the outputs of the model at `path` for a picture of `input` px (width, height). `end_to_end`: the file's metadata says that
-/// suppression is inside. `keypoints`: numbers of the keypoints of a box by the file's metadata, 0 where it has none.
+/// Recognises the kind from the outputs of the model at `path` for an image of `input` px (width, height). `end_to_end`: the metadata state that
+/// suppression is included. `keypoints`: number of keypoint values per box by the metadata, 0 if there are none.
 ///
 /// # Errors
-/// Shapes of no known kind.
+/// The shapes match no known kind.
 pub fn recognise(
     path: &Path,
     input: (usize, usize),

@@ -1,10 +1,10 @@
-//! Checks a network's outputs for values that are not finite. Without it a broken network would find nothing, without an error.
+//! Checks a network's outputs for values that are not finite. Otherwise a broken network would detect nothing without an error.
 
 use std::path::{Path, PathBuf};
 
 use crate::session::Tensor;
 
-/// A network whose outputs are unusable.
+/// The outputs of the network are unusable.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{path} is broken: {bad} of {values} values of its output `{output}` are NaN or infinite, {extent}; export the network again, or try it in full precision (f32)",
@@ -15,25 +15,25 @@ pub struct BrokenNetwork {
     pub path: PathBuf,
     /// Name of the output.
     pub output: String,
-    /// Values that are not finite.
+    /// Number of values that are not finite.
     pub bad: usize,
-    /// All values of the output.
+    /// Number of all values of the output.
     pub values: usize,
-    /// How far the damage reaches, in words.
+    /// Extent of the damage, as text.
     pub extent: &'static str,
 }
 
-/// Whether a value makes its box unusable. Minus infinity is a certain "no" of a classifier.
+/// Whether a value makes its box unusable. Minus infinity is valid: a certain "no" of a classifier.
 fn is_bad(value: &f32) -> bool {
     value.is_nan() || *value == f32::INFINITY
 }
 
-/// How the rows of an output lie in memory.
+/// Memory layout of the rows of an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rows {
-    /// One row after the other: `... x rows x values`.
+    /// Row by row: `... x rows x values`.
     Whole,
-    /// One value of all rows after the other: `... x values x rows` (YOLOv8 and later).
+    /// Column by column: `... x values x rows` (YOLOv8 and later).
     Columns,
 }
 

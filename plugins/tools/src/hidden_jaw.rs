@@ -1,41 +1,41 @@
-//! The tip of jaws of which another instrument hides one end.
+//! The tip of jaws of which another instrument hides one.
 
 use nalgebra::{Vector2, Vector3};
 use panoscope_tracking::jaws::{Axis, Jaws};
 
 use crate::shaft::TipFinder;
 
-/// Smallest distance in front of a tip of what hides it, mm.
+/// Minimum distance of an occluder in front of a tip, mm.
 const BEFORE_MM: f32 = 1.0;
-/// Smallest share of the pixels around a tip that belong to another instrument which hides it.
+/// Minimum share of the pixels around a tip that belong to another instrument for the tip to count as hidden.
 const HIDING_SHARE: f32 = 0.12;
-/// Smallest share of the pixels around the end of a jaw that belong to the jaw or to what hides it.
+/// Minimum share of the pixels around the end of a jaw that belong to the jaw or to its occluder.
 const JAW_SHARE: f32 = 0.3;
 
-/// Length of jaws that were not seen open yet, mm.
+/// Assumed length of jaws that have not been seen open yet, mm.
 const USUAL_MM: f64 = 15.0;
 /// Radius around an end in which a second jaw of the instrument may be, mm.
 const AROUND_MM: f64 = 24.0;
-/// Length of a shaft, as a share of the jaws' length, from which its own direction is used.
+/// Minimum length of a shaft whose own direction is used, as a share of the jaws' length.
 const LONG_SHARE: f64 = 0.6;
 
-/// What a picture shows, by pixel.
+/// Depth and segmentation of an image, per pixel.
 pub struct Pixels<'a> {
     /// Columns and rows.
     pub size: (usize, usize),
     /// Depth, mm; NaN where unknown.
     pub depth_mm: &'a dyn Fn(usize, usize) -> f32,
-    /// Whether it belongs to the instrument.
+    /// Whether a pixel belongs to the instrument.
     pub is_own: &'a dyn Fn(usize, usize) -> bool,
-    /// Whether it belongs to another instrument.
+    /// Whether a pixel belongs to another instrument.
     pub is_other: &'a dyn Fn(usize, usize) -> bool,
-    /// Whether there are other instruments in the picture.
+    /// Whether there are other instruments in the image.
     pub has_others: bool,
 }
 
 impl Pixels<'_> {
-    /// Share of the pixels within a radius around a position, px, that another instrument covers in front of a depth, mm; and that share plus the
-    /// instrument's own pixels. 0 outside the picture.
+    /// Two shares of the pixels within a radius around a position, px: those that another instrument covers in front of a depth, mm; and these plus
+    /// the instrument's own pixels. 0 outside the image.
     fn shares(&self, (u, v): (f64, f64), z_mm: f32, radius_px: usize) -> (f32, f32) {
         let (u, v, r) = (u.round() as isize, v.round() as isize, radius_px as isize);
         let (mut all, mut covered, mut own) = (0.0_f32, 0.0, 0.0);
@@ -55,7 +55,7 @@ impl Pixels<'_> {
         if all > 0.0 { (covered / all, (covered + own) / all) } else { (0.0, 0.0) }
     }
 
-    /// Whether another instrument is within a distance of a position, px, in any depth.
+    /// Whether another instrument is within a distance of a position, px, at any depth.
     fn is_near(&self, (u, v): (f64, f64), around_px: usize) -> bool {
         let (u, v, r) = (u.round() as isize, v.round() as isize, around_px as isize);
         let rows = v.saturating_sub(r).max(0)..=v.saturating_add(r).min(self.size.1 as isize - 1);
@@ -70,27 +70,27 @@ impl Pixels<'_> {
     }
 }
 
-/// An end of an instrument, whose depth is known.
+/// An end of an instrument with known depth.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct KnownEnd {
     /// Position, mm, in the left camera's frame.
     pub at_mm: Vector3<f64>,
-    /// Whether it is where another instrument hides the rest.
+    /// Whether another instrument hides what is beyond this end.
     pub is_hidden: bool,
 }
 
-/// Finds tips of instruments of which one jaw is hidden.
+/// Finds tips of instruments with one hidden jaw.
 #[derive(Debug, Default)]
 pub struct HiddenJaw {
     jaws: Jaws,
-    /// Number of the instrument.
+    /// Number of the instrument that was seen last.
     tool: i64,
 }
 
-/// A rectified camera: focal lengths and centre, px.
+/// Intrinsics of a rectified camera, px.
 #[derive(Clone, Copy, Debug)]
 pub struct Lens {
-    /// Focal lengths.
+    /// Focal lengths along x and y.
     pub focal_px: [f64; 2],
     /// Principal point.
     pub centre_px: [f64; 2],
@@ -101,7 +101,7 @@ impl Lens {
         Vector2::new((u - self.centre_px[0]) / self.focal_px[0], (v - self.centre_px[1]) / self.focal_px[1])
     }
 
-    /// Where a point of its frame (mm) is in the picture, px.
+    /// Projects a point of its frame (mm) to the image, px.
     pub fn pixel(&self, at_mm: &Vector3<f64>) -> (f64, f64) {
         let [fx, fy] = self.focal_px;
         (fx * at_mm.x / at_mm.z + self.centre_px[0], fy * at_mm.y / at_mm.z + self.centre_px[1])
@@ -109,8 +109,8 @@ impl Lens {
 }
 
 impl HiddenJaw {
-    /// The middle between the jaws of an instrument, mm, where one of its ends is hidden. `ends` are the ends of the mask that `finder` was given last,
-    /// one or two. None where nothing is hidden, and where the jaws of this instrument are not known from earlier pictures.
+    /// The point midway between the jaws of an instrument, mm, where one of its ends is hidden. `ends`: one or two ends of the mask that `finder` was
+    /// given last. `None` where nothing is hidden, and where the jaws of this instrument are not known from earlier frames.
     pub fn middle(
         &mut self,
         now_ns: i64,
@@ -175,7 +175,7 @@ impl HiddenJaw {
     }
 }
 
-/// A shaft's axis in units of the focal length.
+/// A shaft's axis in normalised coordinates (divided by the focal length).
 fn axis_of(lens: &Lens, axis: &crate::shaft::ShaftAxis) -> Axis {
     let [fx, fy] = lens.focal_px;
     let along = Vector2::new(axis.along[0] / fx, axis.along[1] / fy);

@@ -1,4 +1,4 @@
-//! An input of a network that takes an image: its layout in memory, its size, its type of numbers.
+//! An input of a network that takes an image: its memory layout, size and element type.
 
 use half::f16;
 use ort::value::TensorElementType;
@@ -6,18 +6,18 @@ use serde::Deserialize;
 
 use crate::session::{Declared, InputValues, RunInput};
 
-/// Order of the axes of an image.
+/// Order of the axes of an image tensor.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 pub enum Layout {
-    /// Channels before rows and columns.
+    /// Channels before rows and columns (CHW).
     #[serde(rename = "nchw")]
     Planar,
-    /// Channels after rows and columns.
+    /// Channels after rows and columns (HWC).
     #[serde(rename = "nhwc")]
     Interleaved,
 }
 
-/// Types of numbers that an image can be handed over in.
+/// Element types of an image tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Element {
     /// 32-bit floats.
@@ -33,7 +33,7 @@ pub enum Element {
 /// An input that takes an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageInput {
-    /// Its name.
+    /// Name in the model.
     pub name: String,
     /// Type of its numbers.
     pub element: Element,
@@ -41,20 +41,20 @@ pub struct ImageInput {
     pub layout: Layout,
     /// 1 (gray) or 3.
     pub channels: usize,
-    /// Columns; `None` where it takes any number.
+    /// Width, px; `None` if variable.
     pub width: Option<usize>,
-    /// Rows; `None` where it takes any number.
+    /// Height, px; `None` if variable.
     pub height: Option<usize>,
     /// Number of axes: 4 with a batch of 1, 3 without, 2 for gray alone.
     rank: usize,
 }
 
-/// Largest side of an image, px.
+/// Maximum side of an image, px.
 const MAX_SIDE: i64 = 8192;
 
 impl ImageInput {
-    /// Reads a declaration. `layout` and `channels` decide where they are given; else channels are the axis of length 3, or 1, before the others where
-    /// both could be. `None` where the declaration is not that of an image.
+    /// Interprets a declaration. `layout` and `channels` take precedence if given; otherwise the channels are the axis of length 3, or 1, and the
+    /// first such axis if both are possible. `None` if the declaration is not that of an image.
     pub fn of(declared: &Declared, layout: Option<Layout>, channels: Option<usize>) -> Option<Self> {
         let element = match declared.element? {
             TensorElementType::Float32 => Element::F32,
@@ -94,8 +94,8 @@ impl ImageInput {
         Some(Self { name, element, layout, channels, width: side(width), height: side(height), rank })
     }
 
-    /// The input of one run from `planar`, the planes of an image of `width` x `height` px, each as long as the image; converted in `packed` where the
-    /// network wants another form.
+    /// The input of one run from `planar`, the planes of an image of `width` x `height` px, each as long as the image. Converted in `packed` if the
+    /// network expects another form.
     pub fn run_input<'a>(
         &'a self,
         planar: &'a [f32],

@@ -1,4 +1,4 @@
-//! Keypoints of boxes, as pose exports of YOLO give them: tips, and a table of all.
+//! Keypoints of boxes from pose exports of YOLO: tips, and a table of all keypoints.
 
 use panoscope_node::abi::{Detection, Tip};
 use panoscope_node::{Result, Slot, TableData};
@@ -13,16 +13,16 @@ const COLUMNS: [&str; 5] = ["box", "keypoint", "x_px", "y_px", "score"];
 /// Maximum number of keypoints of a box.
 const MAX_COUNT: usize = 256;
 
-/// How many keypoints a box has, and how many numbers each.
+/// Number of keypoints per box, and of values per keypoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct KeypointShape {
     count: usize,
-    /// 2 (position) or 3 (and a score).
+    /// 2 (position) or 3 (position and score).
     numbers: usize,
 }
 
 impl KeypointShape {
-    /// Reads `[2, 3]`, as exports write it under `kpt_shape`; none where the text is another.
+    /// Parses `[2, 3]`, which exports write under `kpt_shape`; `None` if the text is malformed.
     pub fn from_metadata(text: &str) -> Option<Self> {
         let inner = text.trim().strip_prefix('[')?.strip_suffix(']')?;
         let (count, numbers) = inner.split_once(',')?;
@@ -30,7 +30,7 @@ impl KeypointShape {
         ((1..=MAX_COUNT).contains(&shape.count) && matches!(shape.numbers, 2 | 3)).then_some(shape)
     }
 
-    /// Numbers of a box.
+    /// Number of values per box.
     pub fn len(self) -> usize {
         self.count * self.numbers
     }
@@ -45,15 +45,15 @@ impl KeypointShape {
 #[derive(Default)]
 pub struct Keypoints {
     shape: KeypointShape,
-    /// Rows of the boxes in the network's output.
+    /// Row of each box in the network's output.
     rows: Vec<u32>,
-    /// x and y in px of the image and the score, of all keypoints of each row.
+    /// Position (x, y in px of the image) and score of all keypoints of each row.
     points: Vec<[f32; 3]>,
     table: Vec<f64>,
 }
 
 impl Keypoints {
-    /// Without any box.
+    /// Starts without boxes.
     pub fn new(shape: KeypointShape) -> Self {
         Self { shape, ..Self::default() }
     }
@@ -87,14 +87,14 @@ impl Keypoints {
         }
     }
 
-    /// The keypoints of a row of the output, x and y in px of the image and the score each.
+    /// Keypoints of a row of the output: x, y in px of the image, and score.
     fn of_row(&self, row: u32) -> &[[f32; 3]] {
         let index = self.rows.iter().position(|have| *have == row);
         let count = self.shape.count;
         index.and_then(|index| self.points.get(index * count..(index + 1) * count)).unwrap_or(&[])
     }
 
-    /// Makes the tips of the first box, and the table of all boxes. `items` are the boxes of `candidates`.
+    /// Writes the tips of the first box, and the table of all boxes. `items` are the boxes of `candidates`.
     pub fn write(
         &mut self,
         candidates: &[Candidate],

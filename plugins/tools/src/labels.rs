@@ -2,39 +2,25 @@
 
 use std::path::{Path, PathBuf};
 
-/// Why a file gives no names.
+/// Why there are no usable names.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LabelsError {
     /// The file cannot be read.
-    #[error("cannot read the labels {path}: {cause}; one name a line is expected", path = path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        cause: std::io::Error,
-    },
-    /// More or fewer names than the model has classes.
-    #[error("{model} has {classes} classes, the label table has {names} names", model = model.display())]
-    Count {
-        /// The model.
-        model: PathBuf,
-        /// Its classes.
-        classes: usize,
-        /// Names of the table.
-        names: usize,
-    },
-    /// All lines are empty.
-    #[error("{path} holds no names", path = path.display())]
-    Empty {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("cannot read the labels {path}: {cause}; expected one name per line", path = path.display())]
+    Unreadable { path: PathBuf, cause: std::io::Error },
+    /// The number of names differs from the model's number of classes.
+    #[error("{model} has {classes} classes, but the label table has {names} names", model = model.display())]
+    Count { model: PathBuf, classes: usize, names: usize },
+    /// The file has no names.
+    #[error("{path} contains no names: write one name per line", path = path.display())]
+    Empty { path: PathBuf },
 }
 
 /// Reads one name per line; empty lines at the end are ignored.
 ///
 /// # Errors
-/// A file that cannot be read, or has no names.
+/// The file cannot be read or has no names.
 pub fn from_file(path: &Path) -> Result<Vec<String>, LabelsError> {
     let text =
         std::fs::read_to_string(path).map_err(|cause| LabelsError::Unreadable { path: path.to_owned(), cause })?;
@@ -42,11 +28,11 @@ pub fn from_file(path: &Path) -> Result<Vec<String>, LabelsError> {
     if names.iter().all(String::is_empty) { Err(LabelsError::Empty { path: path.to_owned() }) } else { Ok(names) }
 }
 
-/// Names of the `classes` of a model, separated by line feeds: those of `file`, where it is not empty, else those of the model's `metadata`, else
+/// Names of the `classes` classes of a model, separated by line feeds: those of `file` if it is not empty, else those of the model's `metadata`, else
 /// numbers. 0 classes: as many as there are names.
 ///
 /// # Errors
-/// A file that cannot be read, or another number of names.
+/// The file cannot be read, or the number of names is wrong.
 pub fn table(model: &Path, metadata: Option<&str>, file: &Path, classes: usize) -> Result<String, LabelsError> {
     let mut names = match file.as_os_str().is_empty() {
         true => metadata.and_then(from_metadata).unwrap_or_default(),
@@ -59,7 +45,7 @@ pub fn table(model: &Path, metadata: Option<&str>, file: &Path, classes: usize) 
     Ok(names.join("\n"))
 }
 
-/// Reads `{0: 'grasper', 1: "hook"}` and `['grasper', 'hook']`, as exports write them.
+/// Parses `{0: 'grasper', 1: "hook"}` and `['grasper', 'hook']`, as exports write them.
 pub fn from_metadata(text: &str) -> Option<Vec<String>> {
     let (mut names, mut rest, mut next) = (Vec::<String>::new(), text.trim(), 0usize);
     if !(rest.starts_with('{') || rest.starts_with('[')) {

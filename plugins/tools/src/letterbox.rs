@@ -1,52 +1,52 @@
-//! A picture fitted into the network's input, and places carried back.
+//! Fits an image into the network's input, and maps positions back.
 
 use panoscope_imaging::SharedMut;
 use panoscope_node::{Parallel, View};
 
-/// Form of the pixels that a network takes.
+/// Pixel form that a network expects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelForm {
-    /// Red first; else blue first.
+    /// Order of the channels: red first, or blue first.
     pub rgb: bool,
     /// Subtracted from 0..255, per channel in the network's order.
     pub mean: [f32; 3],
     /// Multiplied after the subtraction, per channel.
     pub gain: [f32; 3],
-    /// Placement of the picture in the input.
+    /// Placement of the image in the input.
     pub fit: Fit,
-    /// The gray beside the picture, 0..255.
+    /// Gray level of the padding, 0..255.
     pub border: f32,
 }
 
-/// Placement of the picture in the network's input.
+/// Placement of the image in the network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
-    /// Sides kept in proportion, upper left corner (YOLOX).
+    /// Scaled in proportion, at the upper left corner (YOLOX).
     Corner,
-    /// Sides kept in proportion, in the middle (Ultralytics).
+    /// Scaled in proportion, centred (Ultralytics).
     Centre,
-    /// Filled, proportions lost (DETR).
+    /// Stretched; proportions are lost (DETR).
     Stretch,
-    /// Size kept, upper left corner; the input is at least as large.
+    /// Not scaled, at the upper left corner; the input is at least as large.
     Keep,
 }
 
-/// The gray beside the picture that detectors of the YOLO families learn with.
+/// Gray level of the padding with which detectors of the YOLO families are trained.
 pub const BORDER: f32 = 114.0;
 
-/// From picture to input: `input = picture * scale + offset`.
+/// Transform from image to input: `input = picture * scale + offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
-    /// Horizontal, vertical.
+    /// Scale along x and y.
     pub scale: [f32; 2],
-    /// Horizontal, vertical, in px of the input.
+    /// Offset along x and y, px of the input.
     pub offset: [f32; 2],
-    /// Size of the picture in px of the input.
+    /// Size of the image in px of the input.
     pub size: [usize; 2],
 }
 
 impl Placement {
-    /// Where a picture of `width` x `height` px lies in an input of `to` px.
+    /// Placement of an image of `width` x `height` px in an input of `to` px.
     pub fn new(width: usize, height: usize, to: (usize, usize), fit: Fit) -> Self {
         let (w, h) = (width.max(1) as f32, height.max(1) as f32);
         let (tw, th) = (to.0 as f32, to.1 as f32);
@@ -61,7 +61,7 @@ impl Placement {
         Self { scale: [size[0] as f32 / w, size[1] as f32 / h], offset, size }
     }
 
-    /// A place in the input as a place in the picture.
+    /// Maps a position in the input to the image.
     pub fn back(&self, x: f32, y: f32) -> (f32, f32) {
         ((x - self.offset[0]) / self.scale[0], (y - self.offset[1]) / self.scale[1])
     }
@@ -74,19 +74,19 @@ struct Tap {
     share: f32,
 }
 
-/// Rows of the input that one task makes.
+/// Rows of the input per task.
 const LINES_PER_CHUNK: usize = 16;
 
-/// Fits pictures into a planar f32 input; keeps its tables while sizes stay.
+/// Fits images into a planar f32 input; keeps its tables while the sizes do not change.
 #[derive(Default)]
 pub struct Letterbox {
     key: Option<(usize, usize, usize, usize, usize, Fit)>,
     placement: Option<Placement>,
     columns: Vec<Tap>,
     rows: Vec<Tap>,
-    /// One row of the picture for each task: two rows mixed, before columns are picked from it.
+    /// One mixed row of the image for each task, from which columns are sampled.
     lines: Vec<f32>,
-    /// Planar, 3 x height x width.
+    /// The input: planar, 3 x height x width.
     pub input: Vec<f32>,
 }
 
@@ -101,7 +101,7 @@ fn taps(out: usize, scale: f32, from: usize, channels: usize) -> Vec<Tap> {
     (0..out).map(tap).collect()
 }
 
-/// Two rows mixed: contiguous, so that it becomes vector code.
+/// Mixes two rows: contiguous, so that it is vectorised.
 fn mix(upper: &[u8], lower: &[u8], share: f32, out: &mut [f32]) {
     for ((o, &a), &b) in out.iter_mut().zip(upper).zip(lower) {
         let (a, b) = (f32::from(a), f32::from(b));
@@ -110,7 +110,7 @@ fn mix(upper: &[u8], lower: &[u8], share: f32, out: &mut [f32]) {
 }
 
 impl Letterbox {
-    /// Fits a gray8 or bgr8 picture into `to` (width, height); the result stands in `input`.
+    /// Fits a gray8 or bgr8 image into `to` (width, height); the result is in `input`.
     pub fn fit(
         &mut self,
         picture: View<'_, u8>,
@@ -185,7 +185,7 @@ mod tests {
 
     const PLAIN: PixelForm = PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner, border: BORDER };
 
-    /// Bilinear by the formula, pixel by pixel.
+    /// Bilinear interpolation by the formula, pixel by pixel.
     fn expected(picture: &[u8], (w, h): (usize, usize), channel: usize, x: f32, y: f32) -> f32 {
         let (x, y) = (x.clamp(0.0, w as f32 - 1.0), y.clamp(0.0, h as f32 - 1.0));
         let at = |x: usize, y: usize| f32::from(picture[(y.min(h - 1) * w + x.min(w - 1)) * 3 + channel]);

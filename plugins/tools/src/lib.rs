@@ -1,9 +1,8 @@
-//! Finding surgical instruments: boxes, masks, tips.
+//! Finds surgical instruments: boxes, masks, tips.
 //!
-//! `yolo` runs a detector, `mask_rcnn` a model that also segments; both read the exports that people have, through ONNX Runtime. `onnx` runs
-//! any other network, as a table says. `tool_tip`
-//! finds the tip of the instrument in what they found, `tip_track` follows it over time. `skill` measures how skilfully tips are moved, `proximity` how
-//! near they are to tissue and to each other; `evaluate_proximity` judges its warnings, `evaluate_detections` boxes.
+//! `yolo` runs a detector, `mask_rcnn` a segmenting model; both read common exports through ONNX Runtime. `onnx` runs any other network according to
+//! a table. `tool_tip` finds the tip of the instrument in their results, `tip_track` follows it over time. `skill` measures how skilfully tips are
+//! moved, `proximity` their distance to tissue and to each other; `evaluate_proximity` evaluates its warnings, `evaluate_detections` boxes.
 
 pub mod calibration;
 pub mod candidates;

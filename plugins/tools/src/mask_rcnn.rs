@@ -20,26 +20,26 @@ use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
 use crate::session::{Tensor, Values, list_text};
 use crate::track::Tracker;
-use crate::yolo::{Network, check_labels, detection, picture_of};
+use crate::yolo::{Damage, Network, check_labels, detection, picture_of};
 
-/// Inputs.
+/// Input ports of `mask_rcnn`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture to search, bgr8 or gray8.
+    /// Image to search, bgr8 or gray8.
     image: AnyImage<'f>,
-    /// What of the picture is lit, not 0. Instances whose boxes lie outside by more than half are dropped; without it all is lit.
+    /// Nonzero where the image is illuminated. Instances whose boxes are more than half outside are dropped. Unconnected: the whole image.
     mask: Option<Image<'f, Mask>>,
 }
 
-/// Outputs.
+/// Output ports of `mask_rcnn`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Boxes and masks in px of the picture, highest score first, with their labels.
+    /// Boxes and masks in px of the image, highest score first, with their labels.
     instances: Slot<'f, LabeledInstances>,
-    /// How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of
-    /// such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above.
+    /// How unlike the model's training images the last images are, smoothed, as a share of the model's limit. From 1 on the model is unreliable for
+    /// such images. Empty if the model has no image statistics. Metric `unlike` is 1 while it is above.
     unlikeness: Slot<'f, Scalar>,
-    /// What a screen says while the images are too unlike those that the model learned from; else empty text.
+    /// Message for a screen while the images are too unlike the training images; otherwise empty text.
     text: Slot<'f, TextPacket>,
 }
 
@@ -48,7 +48,7 @@ pub struct Out<'f> {
 pub enum Family {
     /// Recognised from the shapes of the outputs and the model's metadata.
     Auto,
-    /// Red first, 0..1; class 0 is background; masks of the whole picture or of 28 px.
+    /// Red first, 0..1; class 0 is background; masks of the whole image or of 28 px.
     Torchvision,
     /// Blue first, 0..255; masks of 28 px.
     Detectron2,
@@ -56,7 +56,7 @@ pub enum Family {
     YoloSeg,
 }
 
-/// Parameters.
+/// Parameters of `mask_rcnn`.
 #[derive(Params)]
 pub struct MaskRcnnParams {
     /// ONNX file of the network.
@@ -65,16 +65,16 @@ pub struct MaskRcnnParams {
     /// Family of the export.
     #[param(default = "auto", reopen)]
     family: Family,
-    /// Lowest score of an instance.
+    /// Minimum score of an instance.
     #[param(default = 0.5, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
     /// Overlap (intersection over union) above which the box with the lower score is dropped, within a class.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
-    /// Probability from which a pixel belongs to the mask.
+    /// Minimum probability of a pixel of the mask.
     #[param(default = 0.5, range = 0.01..=0.99, step = 0.01, unit = "ratio")]
     mask_threshold: f32,
-    /// Largest number of instances in the output.
+    /// Maximum number of instances in the output.
     #[param(default = 20, range = 1..=200)]
     max_instances: usize,
     /// File with the names of the classes, one per line. Empty: the names in the model file.
@@ -89,11 +89,11 @@ pub struct MaskRcnnParams {
     /// Gives each tool a number (`track_id`) that it keeps over time.
     #[param(default = true)]
     track: bool,
-    /// Gives a tracked tool the class that it had most often: votes weigh as much as their score, and half as much after this time. 0: each picture's
-    /// own class.
+    /// Gives a tracked tool the class that it had most often: votes are weighted by score, and their weight halves after this time. 0: the class in
+    /// each image.
     #[param(default = 0.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     vote_s: f32,
-    /// Time over which the deviation of the pictures from those learned from is smoothed.
+    /// Time constant of the smoothing of `unlikeness`.
     #[param(default = 2.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     unlike_s: f32,
     /// What happens to the instruments while `unlikeness` is 1 or more.
@@ -102,8 +102,8 @@ pub struct MaskRcnnParams {
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
-    /// What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the
-    /// processor does, with a warning.
+    /// Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is
+    /// used, with a warning.
     #[param(default = "cpu", reopen)]
     provider: Provider,
 }
@@ -115,7 +115,7 @@ pub struct MaskRcnn {
     family: Family,
     familiarity: Familiarity,
     candidates: Vec<Candidate>,
-    /// Probabilities per candidate, one map after the other: whole or small maps, or sums of prototypes.
+    /// Probabilities per candidate, one map after the other: full-size or small maps, or sums of prototypes.
     maps: Vec<f32>,
     map_size: (usize, usize),
     /// Buffers of painting: position of each column of a box in its map, and a row of the map for each task.
@@ -127,7 +127,7 @@ pub struct MaskRcnn {
     lit: HeldMask,
 }
 
-/// The four outputs of a Mask R-CNN, in any order.
+/// The four outputs of a Mask R-CNN, identified in any order.
 struct NetworkOutputs<'a> {
     boxes: &'a [f32],
     scores: &'a [f32],
@@ -149,7 +149,7 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<NetworkOutputs<'a
         (floats(2, Some(4)), floats(1, None), masks)
     else {
         return Err(error!(
-            "{} answers {}, expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
+            "{} returns {}; expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
             path.display(),
             list_text(outputs)
         ));
@@ -159,19 +159,19 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<NetworkOutputs<'a
         .find_map(|t| if let Values::Int(l) = t.data { Some(l).filter(|_| t.shape.len() == 1) } else { None });
     let count = shape[0];
     let [.., height, width] = mask_shape[..] else {
-        return Err(error!("{}: masks have no height and width", path.display()));
+        return Err(error!("{}: the masks have no height and width", path.display()));
     };
     let whole = boxes.len() >= 4 * count
         && scores.len() >= count
         && labels.is_none_or(|l| l.len() >= count)
         && width.checked_mul(height).and_then(|n| n.checked_mul(count)).is_some_and(|n| masks.len() >= n);
     if !whole {
-        return Err(error!("{}: boxes, scores and masks of the answer do not have as many rows", path.display()));
+        return Err(error!("{}: boxes, scores and masks do not have the same number of rows", path.display()));
     }
     Ok(NetworkOutputs { boxes, scores, labels, masks, map_size: (width, height), count })
 }
 
-/// Rows of a mask that one task paints.
+/// Rows of a mask per task.
 const ROWS_PER_CHUNK: usize = 32;
 
 /// Position of a pixel along one side of a map: between cell `first` and the next, counted from a cell of zeros before the map.
@@ -182,7 +182,7 @@ struct CellPosition {
 }
 
 impl CellPosition {
-    /// The position of a coordinate in cells, whose centres are whole numbers. Outside the map the value is that of the zeros around it.
+    /// The position of a coordinate in cells, whose centres are integers. Outside the map the value is that of the zeros around it.
     fn new(at: f32, cells: usize) -> Self {
         if at > -1.0 && at < cells as f32 {
             let low = at.floor();
@@ -202,7 +202,7 @@ enum Covers {
 }
 
 impl MaskRcnn {
-    /// Bit masks of all items: most significant bit first, rows padded to whole bytes. Each map is enlarged bilinearly, rows first.
+    /// Paints the bit masks of all items: most significant bit first, rows padded to whole bytes. Each map is enlarged bilinearly, rows first.
     fn paint(&mut self, covers: Covers, size: (usize, usize), threshold: f32, pool: &dyn Parallel) {
         let len = mask_len(size.0, size.1);
         let row_bytes = size.0.div_ceil(8);
@@ -252,7 +252,7 @@ impl MaskRcnn {
     }
 }
 
-/// A row of the map at a height between two of its rows, with a zero before and after it.
+/// A row of the map interpolated between two of its rows, with a zero before and after it.
 fn mix(map: &[f32], (width, height): (usize, usize), at: CellPosition, line: &mut [f32]) {
     let row = |index: usize| (1..=height).contains(&index).then(|| &map[(index - 1) * width..index * width]);
     let first = at.first as usize;
@@ -270,7 +270,7 @@ fn mix(map: &[f32], (width, height): (usize, usize), at: CellPosition, line: &mu
     }
 }
 
-/// Segmenting YOLO exports return their boxes in columns.
+/// Memory layout of the boxes: segmenting YOLO exports return them in columns.
 fn rows_of(is_yolo: bool) -> Rows {
     if is_yolo { Rows::Columns } else { Rows::Whole }
 }
@@ -281,6 +281,110 @@ fn pixel_form(family: Family) -> PixelForm {
         Family::Detectron2 => PixelForm { rgb: false, gain: [1.0; 3], ..unit },
         Family::YoloSeg => ExportKind::YoloV8 { extra: 32 }.pixel_form(),
         _ => unit,
+    }
+}
+
+/// Decodes the outputs of one run to candidates, with a map of probabilities for each.
+struct Decoding<'a, 'f> {
+    cx: &'a Context<'f>,
+    params: &'a MaskRcnnParams,
+    path: &'a Path,
+    net: (usize, usize),
+    placement: Placement,
+    size: (usize, usize),
+    damage: &'a mut Damage,
+    candidates: &'a mut Vec<Candidate>,
+    maps: &'a mut Vec<f32>,
+    map_size: &'a mut (usize, usize),
+    lit: &'a HeldMask,
+}
+
+impl Decoding<'_, '_> {
+    fn begin(&mut self, outputs: &[Tensor<'_>], is_yolo: bool) -> Result<()> {
+        let bad = count_bad(self.path, outputs, rows_of(is_yolo))?;
+        self.damage.report(self.cx, self.path, bad);
+        self.maps.clear();
+        self.candidates.clear();
+        Ok(())
+    }
+
+    /// Drops dark and overlapping candidates.
+    fn keep_best(&mut self) {
+        let suppression = Suppression {
+            max_overlap: self.params.max_overlap,
+            is_agnostic: false,
+            max_boxes: self.params.max_instances,
+            unknown: None,
+        };
+        keep_lit(self.candidates, self.lit, self.size);
+        let left_out = suppress(self.candidates, &suppression);
+        self.damage.report_left_out(self.cx, left_out, ("max_instances", self.params.max_instances));
+    }
+
+    /// A YOLO export: each map is a sum of prototypes.
+    fn yolo(&mut self, outputs: &[Tensor<'_>]) -> Result<Covers> {
+        self.begin(outputs, true)?;
+        let [_, prototypes] = outputs else { return Err(error!("the model returns no prototypes")) };
+        let [1, masks, height, width] = prototypes.shape[..] else {
+            return Err(error!("the prototypes are {:?}; expected 1xMxHxW", prototypes.shape));
+        };
+        let mut decoder = Decoder {
+            kind: ExportKind::YoloV8 { extra: masks },
+            input: self.net,
+            placement: self.placement,
+            picture: self.size,
+            min_score: self.params.min_score,
+            min_objectness: f32::INFINITY,
+            out: self.candidates,
+        };
+        decoder.decode(outputs)?;
+        self.keep_best();
+        let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
+            return Err(error!("boxes and prototypes must be f32"));
+        };
+        let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
+        *self.map_size = (width, height);
+        for c in self.candidates.iter() {
+            let start = self.maps.len();
+            self.maps.resize(start + area, 0.0);
+            for m in 0..masks {
+                let share = boxes[(len - masks + m) * rows + c.row as usize];
+                let plane = &shapes[m * area..(m + 1) * area];
+                self.maps[start..].iter_mut().zip(plane).for_each(|(sum, p)| *sum += share * p);
+            }
+            self.maps[start..].iter_mut().for_each(|v| *v = 1.0 / (1.0 + (-*v).exp()));
+        }
+        Ok(Covers::Input(self.placement, self.net))
+    }
+
+    /// A Mask R-CNN export: each box has its own map.
+    fn rcnn(&mut self, outputs: &[Tensor<'_>], family: Family) -> Result<Covers> {
+        self.begin(outputs, false)?;
+        let answer = sort_out(self.path, outputs)?;
+        // Class 0 of torchvision is background and never returned.
+        let first_class = i64::from(family == Family::Torchvision);
+        for row in 0..answer.count {
+            let (b, score) = (&answer.boxes[4 * row..4 * row + 4], answer.scores[row]);
+            let class = answer.labels.map_or(0, |l| l[row] - first_class);
+            if score > self.params.min_score && class >= 0 {
+                let corners = [b[0], b[1], b[2], b[3]];
+                self.candidates.extend(Candidate::placed(
+                    &self.placement,
+                    self.size,
+                    corners,
+                    score,
+                    class as u32,
+                    row,
+                ));
+            }
+        }
+        self.keep_best();
+        *self.map_size = answer.map_size;
+        let area = answer.map_size.0 * answer.map_size.1;
+        for c in self.candidates.iter() {
+            self.maps.extend_from_slice(&answer.masks[c.row as usize * area..(c.row as usize + 1) * area]);
+        }
+        Ok(if answer.map_size == self.net { Covers::Input(self.placement, self.net) } else { Covers::Box })
     }
 }
 
@@ -358,88 +462,27 @@ impl Node for MaskRcnn {
         let size = (picture.width, picture.height);
         let net = self.network.model.input_size();
         let placement = self.network.letterbox.fit(picture, net, &pixel_form(self.family), cx.pool());
-        let family = self.family;
-        let suppression = Suppression {
-            max_overlap: params.max_overlap,
-            is_agnostic: false,
-            max_boxes: params.max_instances,
-            unknown: None,
-        };
         self.lit.update(input.mask.as_ref().map(Image::view));
-        let Self {
-            network: Network { model, letterbox, damage, .. },
-            path,
-            familiarity,
-            candidates,
-            maps,
-            map_size,
-            lit,
-            ..
-        } = self;
+        let Self { network: Network { model, letterbox, damage, .. }, path, familiarity, .. } = self;
         let mut unlikeness = None;
+        let mut decoding = Decoding {
+            cx,
+            params,
+            path,
+            net,
+            placement,
+            size,
+            damage,
+            candidates: &mut self.candidates,
+            maps: &mut self.maps,
+            map_size: &mut self.map_size,
+            lit: &self.lit,
+        };
+        let family = self.family;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
             let (outputs, features) = pictures::split(outputs);
             unlikeness = familiarity.unlikeness(features, placement.size);
-            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg))?;
-            damage.report(cx, path, bad);
-            maps.clear();
-            candidates.clear();
-            if family == Family::YoloSeg {
-                let [_, prototypes] = outputs else { return Err(error!("the model answers no prototypes")) };
-                let [1, masks, height, width] = prototypes.shape[..] else {
-                    return Err(error!("prototypes are {:?}, expected 1xMxHxW", prototypes.shape));
-                };
-                let kind = ExportKind::YoloV8 { extra: masks };
-                let mut decoder = Decoder {
-                    kind,
-                    input: net,
-                    placement,
-                    picture: size,
-                    min_score: params.min_score,
-                    min_objectness: f32::INFINITY,
-                    out: candidates,
-                };
-                decoder.decode(outputs)?;
-                keep_lit(candidates, lit, size);
-                let left_out = suppress(candidates, &suppression);
-                damage.report_left_out(cx, left_out, ("max_instances", params.max_instances));
-                let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
-                    return Err(error!("boxes and prototypes are f32"));
-                };
-                let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
-                *map_size = (width, height);
-                for c in candidates.iter() {
-                    let start = maps.len();
-                    maps.resize(start + area, 0.0);
-                    for m in 0..masks {
-                        let share = boxes[(len - masks + m) * rows + c.row as usize];
-                        let plane = &shapes[m * area..(m + 1) * area];
-                        maps[start..].iter_mut().zip(plane).for_each(|(sum, p)| *sum += share * p);
-                    }
-                    maps[start..].iter_mut().for_each(|v| *v = 1.0 / (1.0 + (-*v).exp()));
-                }
-                return Ok(Covers::Input(placement, net));
-            }
-            let answer = sort_out(path, outputs)?;
-            // Class 0 of torchvision is background and never answered.
-            let first_class = i64::from(family == Family::Torchvision);
-            for row in 0..answer.count {
-                let (b, score) = (&answer.boxes[4 * row..4 * row + 4], answer.scores[row]);
-                let class = answer.labels.map_or(0, |l| l[row] - first_class);
-                if score > params.min_score && class >= 0 {
-                    let corners = [b[0], b[1], b[2], b[3]];
-                    candidates.extend(Candidate::placed(&placement, size, corners, score, class as u32, row));
-                }
-            }
-            keep_lit(candidates, lit, size);
-            let left_out = suppress(candidates, &suppression);
-            damage.report_left_out(cx, left_out, ("max_instances", params.max_instances));
-            *map_size = answer.map_size;
-            let area = answer.map_size.0 * answer.map_size.1;
-            for c in candidates.iter() {
-                maps.extend_from_slice(&answer.masks[c.row as usize * area..(c.row as usize + 1) * area]);
-            }
-            Ok(if answer.map_size == net { Covers::Input(placement, net) } else { Covers::Box })
+            if family == Family::YoloSeg { decoding.yolo(outputs) } else { decoding.rcnn(outputs, family) }
         })??;
         if let Some(unlikeness) = unlikeness {
             let smoothed = familiarity.add(cx, path, unlikeness, params.unlike_s);
@@ -449,7 +492,7 @@ impl Node for MaskRcnn {
             out.text.set_text(familiarity.message(params.unlike))?;
         }
         if familiarity.drops(params.unlike) {
-            candidates.clear();
+            self.candidates.clear();
         }
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));

@@ -8,32 +8,21 @@ use crate::session::{ModelSession, SessionError, Tensor, list_text};
 
 /// Why a model cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum ModelError {
     /// The file, ONNX Runtime, or a run of the network.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// Its input is not an image.
-    #[error("{path} wants {found}, expected one image: f32 or f16, 1x3xHxW or 1xHxWx3", path = path.display())]
-    Input {
-        /// The file.
-        path: PathBuf,
-        /// Its inputs.
-        found: String,
-    },
-    /// It has no fixed input size and none was given.
-    #[error("{path} takes images of any size ({found}): say which with `input_width` and `input_height`", path = path.display())]
-    Size {
-        /// The file.
-        path: PathBuf,
-        /// Its inputs.
-        found: String,
-    },
-    /// It answers another question than the node asks.
+    /// The model's input is not an image.
+    #[error("{path} takes {found}; expected one image: f32 or f16, 1x3xHxW or 1xHxWx3", path = path.display())]
+    Input { path: PathBuf, found: String },
+    /// The model has no fixed input size, and none was given.
+    #[error("{path} takes images of any size ({found}): set `input_width` and `input_height`", path = path.display())]
+    Size { path: PathBuf, found: String },
+    /// The model solves another task than the node expects.
     #[error("{path} is exported for the task `{task}`: {help}", path = path.display())]
     Task {
-        /// The file.
         path: PathBuf,
-        /// The model's own word for what it does.
         task: String,
         /// What the node reads, and what to use instead.
         help: &'static str,
@@ -50,8 +39,8 @@ pub struct Model {
 }
 
 impl Model {
-    /// Opens a file. `size` is used where the model accepts any size; 0 takes the model's. Where `provider` cannot run it the processor does:
-    /// see [`Model::refused`].
+    /// Opens a file. `size` is used if the model accepts any size; 0 takes the model's. If `provider` cannot run it, the processor does; see
+    /// [`Model::refused`].
     ///
     /// # Errors
     /// No ONNX Runtime, a file that cannot be used, or an input that is not one image.
@@ -71,10 +60,10 @@ impl Model {
         Ok(Self { session, input, packed: Packed::default(), width, height })
     }
 
-    /// Checks the model's own word for what it does, where it has one.
+    /// Checks the task in the model's metadata, if there is one.
     ///
     /// # Errors
-    /// It is one of `tasks`; `help` says what the node reads.
+    /// The task is one of `tasks`; `help` says what the node reads.
     pub fn refuse_tasks(&self, tasks: &[&str], help: &'static str) -> Result<(), ModelError> {
         match self.metadata("task") {
             Some(task) if tasks.contains(&task) => {
@@ -84,27 +73,27 @@ impl Model {
         }
     }
 
-    /// Why the provider that was asked for does not run the network, where the processor runs it instead.
+    /// Why the requested provider does not run the network, if the processor runs it instead.
     pub fn refused(&self) -> Option<&str> {
         self.session.refused()
     }
 
-    /// Width and height in px of the network's image.
+    /// Width and height of the network's image, px.
     pub fn input_size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         self.session.path()
     }
 
-    /// A custom key of the file.
+    /// Value of a custom metadata key of the file.
     pub fn metadata(&self, key: &str) -> Option<&str> {
         self.session.metadata(key)
     }
 
-    /// Runs the network on the three planes of an image of `input_size` and hands its outputs to `read`.
+    /// Runs the network on the three planes of an image of `input_size` and passes its outputs to `read`.
     ///
     /// # Errors
     /// ONNX Runtime's message.

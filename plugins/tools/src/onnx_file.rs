@@ -1,7 +1,7 @@
-//! A look into an ONNX file before ONNX Runtime sees it: what it would read outside itself, how deep it nests, how much work it is.
+//! Checks an ONNX file before ONNX Runtime opens it: which other files it reads, how deeply it nests, how much work it is.
 //!
-//! An ONNX file may name other files for its weights. Only files in the model's own folder are accepted, or those that a host appended to the
-//! model itself ([`panoscope_base::onnx::bundle_header`]).
+//! An ONNX file may name other files for its weights. Only files in the model's own folder are accepted, or those that a host appended to the model
+//! itself ([`panoscope_base::onnx::bundle_header`]).
 
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -9,76 +9,48 @@ use std::sync::Arc;
 use panoscope_base::onnx;
 use panoscope_base::onnx::work::{self, TooMuch};
 
-/// Largest file that the format allows, bytes.
+/// Maximum size of a file in this format, bytes.
 const MAX_BYTES: u64 = 2 << 30;
 
 /// Why a model file is refused.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum OnnxFileError {
     /// The file cannot be read.
     #[error("cannot read the model {path}: {source}; name an .onnx file with `model`", path = path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// Too large for the format.
-    #[error("{path} has {bytes} bytes, an ONNX file has at most {MAX_BYTES}", path = path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Its length, bytes.
-        bytes: u64,
-    },
-    /// Not an ONNX file, or cut off.
-    #[error("{path} is not a whole ONNX file: {reason} at byte {offset}; copy or export it again", path = path.display())]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: &'static str,
-        /// Position in the file, bytes.
-        offset: usize,
-    },
+    Read { path: PathBuf, source: std::io::Error },
+    /// The file is too large for the format.
+    #[error("{path} has {bytes} bytes, which exceed the limit of {MAX_BYTES} for an ONNX file", path = path.display())]
+    TooLarge { path: PathBuf, bytes: u64 },
+    /// The file is not ONNX, or is truncated.
+    #[error("{path} is malformed or truncated: {reason} at byte {offset}; copy or export it again", path = path.display())]
+    Malformed { path: PathBuf, reason: &'static str, offset: usize },
     /// Opening it would take too long.
     #[error("{path} would keep ONNX Runtime busy: {reason}; export it again, simplified (onnxsim), or use another model", path = path.display())]
-    TooMuch {
-        /// The file.
-        path: PathBuf,
-        /// What there is too much of.
-        reason: TooMuch,
-    },
-    /// Weights outside the model's folder.
-    #[error("{path} reads its weights from `{location}`, which is not in its own folder: refused", path = path.display())]
-    Outside {
-        /// The file.
-        path: PathBuf,
-        /// The file that it names.
-        location: String,
-    },
-    /// A missing file of weights.
-    #[error("{path} keeps its weights in `{location}`, which is not beside it: copy both files", path = path.display())]
-    MissingWeights {
-        /// The file.
-        path: PathBuf,
-        /// The file that it names.
-        location: String,
-    },
+    TooMuch { path: PathBuf, reason: TooMuch },
+    /// Weights are outside the model's folder.
+    #[error("{path} reads its weights from `{location}`, which is outside its folder: put the weights into the folder of the model", path = path.display())]
+    Outside { path: PathBuf, location: String },
+    /// A file of weights is missing.
+    #[error("{path} reads its weights from `{location}`, which does not exist: copy both files", path = path.display())]
+    MissingWeights { path: PathBuf, location: String },
 }
 
 /// A checked model file.
 #[derive(Debug)]
 pub struct OnnxFile {
-    /// The model itself.
+    /// Bytes of the model itself.
     pub bytes: Vec<u8>,
     /// Name and bytes of the weight files that were appended to it.
     pub weights: Vec<(String, Arc<[u8]>)>,
-    /// Whether part of its weights is in files beside it.
+    /// Whether part of its weights is in files next to it.
     pub has_weights_beside: bool,
 }
 
-/// Reads and checks the file. Refuses it when it names files outside its folder.
+/// Reads and checks the file.
+///
+/// # Errors
+/// See [`OnnxFileError`]: also when the file names files outside its folder.
 pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
     let failed = |source| OnnxFileError::Read { path: path.to_owned(), source };
     let about = std::fs::metadata(path).map_err(failed)?;

@@ -1,8 +1,8 @@
-//! How unlike the pictures that a model learned from a picture is, from the features that the model's own network computes anyway.
+//! How unlike a model's training images an image is, from features that the model's network computes anyway.
 //!
-//! `export_detector.py` gives a detector a second output, `features` (1 x C x rows x columns, means over cells of 32 x 32 px), and writes the mean and a
-//! whitening matrix of their picture means into the metadata (`training/instruments/pictures.py`), for each kind of pictures that it learned from:
-//! real ones and rendered ones have little in common.
+//! `export_detector.py` gives a detector a second output, `features` (1 x C x rows x columns, means over cells of 32 x 32 px), and writes the mean
+//! and a whitening matrix of their image means into the metadata (`training/instruments/pictures.py`), separately for real and rendered training
+//! images, which have little in common.
 
 use panoscope_node::{Choice, Context};
 
@@ -12,18 +12,18 @@ use crate::session::Tensor;
 
 /// Name of the output.
 const OUTPUT: &str = "features";
-/// First word of the metadata.
+/// First word of the metadata: name of the format.
 const FORMAT: &str = "panoscope-pictures-1";
-/// Pixels of the network's input in a cell of the output.
+/// Side of a cell of the output in px of the network's input.
 const CELL: usize = 32;
-/// Share of the limit below which a warning ends: it does not flicker about the limit.
+/// Share of the limit below which a warning ends, so that it does not flicker at the limit.
 const END_SHARE: f32 = 0.85;
-/// Most that the first picture counts, as a share of the limit.
+/// Maximum contribution of the first image, as a share of the limit.
 const FIRST_MOST: f32 = 0.99;
-/// Largest gap in time that the smoothing bridges, s: after a longer one it begins anew.
+/// Maximum gap in time that the smoothing bridges, s; after a longer one it restarts.
 const MAX_GAP_S: f32 = 5.0;
 
-/// Statistics that cannot be used.
+/// The statistics in a model's metadata cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{key}` in the model's metadata does not fit the model: {reason}; export the model again")]
 pub struct PicturesError {
@@ -33,7 +33,7 @@ pub struct PicturesError {
     pub reason: String,
 }
 
-/// The outputs of a network without `features`, and `features`.
+/// Separates the output `features` from the other outputs of a network.
 pub fn split<'a, 'b>(outputs: &'b [Tensor<'a>]) -> (&'b [Tensor<'a>], Option<&'b Tensor<'a>>) {
     match outputs.split_last() {
         Some((last, rest)) if last.name == OUTPUT && !rest.is_empty() => (rest, Some(last)),
@@ -41,27 +41,27 @@ pub fn split<'a, 'b>(outputs: &'b [Tensor<'a>]) -> (&'b [Tensor<'a>], Option<&'b
     }
 }
 
-/// Statistics of one kind of pictures.
+/// Statistics of one kind of images.
 #[derive(Clone, Debug, PartialEq)]
 struct Kind {
     mean: Vec<f32>,
-    /// Row by row, as many rows and columns as `mean` has numbers.
+    /// Row by row, with as many rows and columns as `mean` has numbers.
     whitening: Vec<f32>,
     limit: f32,
 }
 
-/// Statistics of the pictures that a model learned from.
+/// Statistics of a model's training images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pictures {
     kinds: Vec<Kind>,
-    /// The picture's numbers.
+    /// Feature means of the image.
     means: Vec<f32>,
-    /// The same less the mean of a kind.
+    /// Difference from the mean of a kind.
     off: Vec<f32>,
 }
 
 impl Kind {
-    /// Reads the numbers under `key`.
+    /// Parses the numbers under `key`.
     fn read<'a>(
         key: &str,
         text: &str,
@@ -71,20 +71,20 @@ impl Kind {
         let wrong = |reason: String| PicturesError { key: key.to_owned(), reason };
         let channels = channels.ok_or_else(|| wrong(format!("the model has no output `{OUTPUT}`")))?;
         let text = text.strip_prefix(FORMAT).ok_or_else(|| wrong(format!("it does not begin with `{FORMAT}`")))?;
-        let all = numbers(text).ok_or_else(|| wrong("it holds what is not a number".to_owned()))?;
+        let all = numbers(text).ok_or_else(|| wrong("it contains something that is not a number".to_owned()))?;
         let wanted = channels * (channels + 1);
         if channels == 0 || all.len() != wanted {
-            return Err(wrong(format!("{} numbers, {wanted} fit {channels} channels", all.len())));
+            return Err(wrong(format!("it has {} numbers instead of {wanted} for {channels} channels", all.len())));
         }
         let key = format!("{key}_limit");
         let limit = metadata(&key).and_then(|text| text.trim().parse::<f32>().ok());
         let limit = limit.filter(|limit| limit.is_finite() && *limit > 0.0);
-        let limit = limit.ok_or_else(|| PicturesError { key, reason: "a number above 0 was expected".to_owned() })?;
+        let limit = limit.ok_or_else(|| PicturesError { key, reason: "expected a number above 0".to_owned() })?;
         let (mean, whitening) = all.split_at(channels);
         Ok(Self { mean: mean.to_vec(), whitening: whitening.to_vec(), limit })
     }
 
-    /// Deviation of a picture's numbers, as a share of the limit.
+    /// Deviation of an image's feature means, as a share of the limit.
     fn unlikeness(&self, means: &[f32], off: &mut [f32]) -> f32 {
         for ((off, value), mean) in off.iter_mut().zip(means).zip(&self.mean) {
             *off = value - mean;
@@ -96,10 +96,10 @@ impl Kind {
 }
 
 impl Pictures {
-    /// Reads the statistics of a model whose `features` have `channels` channels (none: it has no such output); none where it carries none.
+    /// Reads the statistics of a model whose `features` have `channels` channels (`None`: it has no such output); `None` if it has none.
     ///
     /// # Errors
-    /// Numbers that are missing, not finite, or do not fit the output.
+    /// Numbers are missing, not finite, or do not fit the output.
     pub fn read<'a>(
         channels: Option<usize>,
         metadata: impl Fn(&str) -> Option<&'a str>,
@@ -112,8 +112,8 @@ impl Pictures {
         Ok((!kinds.is_empty()).then(|| Self { kinds, means: zeros.clone(), off: zeros }))
     }
 
-    /// Deviation of a picture from those learned from, from the kind that it is most like, as a share of the limit: above 1 it is unlike them all.
-    /// `size` is the picture's width and height in the network's input, px. None where `features` have another form or are not finite.
+    /// Deviation of an image from the most similar kind of training images, as a share of the limit: above 1 it is unlike all of them. `size`: width
+    /// and height of the image in the network's input, px. `None` if `features` have another form or are not finite.
     pub fn unlikeness(&mut self, features: &Tensor<'_>, size: [usize; 2]) -> Option<f32> {
         let [1, channels, rows, columns] = features.shape[..] else { return None };
         let values = features.data.floats()?;
@@ -131,7 +131,7 @@ impl Pictures {
     }
 }
 
-/// The deviation over time, and whether it is said.
+/// The smoothed deviation, and whether it is reported.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Monitor {
     smoothed: Option<f32>,
@@ -140,8 +140,8 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// Adds a picture taken at `capture_ns`. Old pictures weigh `1/e` after `smooth_s`. Returns the smoothed deviation, and whether pictures are unlike
-    /// those learned from: from 1 on, until it falls below 0.85.
+    /// Adds an image captured at `capture_ns`. Older images weigh `1/e` after `smooth_s`. Returns the smoothed deviation, and whether images are
+    /// unlike the training images: from 1 on, until it falls below 0.85.
     pub fn add(&mut self, unlikeness: f32, capture_ns: i64, smooth_s: f32) -> (f32, bool) {
         let passed_s = capture_ns.saturating_sub(self.last_ns) as f32 * 1e-9;
         self.last_ns = capture_ns;
@@ -160,16 +160,16 @@ impl Monitor {
     }
 }
 
-/// What happens to the instruments in images that are too unlike those that the model learned from.
+/// What happens to the instruments in images that are too unlike the model's training images.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unlike {
-    /// They are kept; a warning says so.
+    /// They are kept; a warning is logged.
     Keep,
     /// They are dropped, so that nothing follows them.
     Drop,
 }
 
-/// What a node knows of how unlike its images are to those that its model learned from.
+/// Monitors how unlike a model's training images a node's images are.
 pub struct Familiarity {
     statistics: Option<Pictures>,
     monitor: Monitor,
@@ -177,7 +177,7 @@ pub struct Familiarity {
 }
 
 impl Familiarity {
-    /// From the metadata of a model whose `features` have `channels` channels (none: it has no such output).
+    /// From the metadata of a model whose `features` have `channels` channels (`None`: it has no such output).
     ///
     /// # Errors
     /// See [`Pictures::read`].
@@ -186,20 +186,20 @@ impl Familiarity {
         Ok(Self { statistics, monitor: Monitor::default(), is_unlike: false })
     }
 
-    /// See [`Pictures::unlikeness`]; none without statistics.
+    /// See [`Pictures::unlikeness`]; `None` without statistics.
     pub fn unlikeness(&mut self, features: Option<&Tensor<'_>>, size: [usize; 2]) -> Option<f32> {
         self.statistics.as_mut()?.unlikeness(features?, size)
     }
 
-    /// Adds an image's deviation; sets the metrics `unlikeness` and `unlike`, and warns when images become unlike those that the model at `path`
-    /// learned from. Returns the smoothed deviation.
+    /// Adds an image's deviation; sets the metrics `unlikeness` and `unlike`, and warns when images become unlike the training images of the model at
+    /// `path`. Returns the smoothed deviation.
     pub fn add(&mut self, cx: &Context<'_>, path: &std::path::Path, unlikeness: f32, smooth_s: f32) -> f32 {
         let (smoothed, is_unlike) = self.monitor.add(unlikeness, cx.tick().capture_ns, smooth_s);
         cx.metric("unlikeness", f64::from(smoothed));
         cx.metric("unlike", f64::from(u8::from(is_unlike)));
         if is_unlike && !self.is_unlike {
             cx.warn(&format!(
-                "pictures are unlike those that {} learned from ({smoothed:.1} times its limit): expect it to miss instruments and to name them wrongly",
+                "images are unlike the training images of {} ({smoothed:.1} times its limit): it may miss or misname instruments",
                 path.display()
             ));
         }
@@ -212,7 +212,7 @@ impl Familiarity {
         self.is_unlike && unlike == Unlike::Drop
     }
 
-    /// What a screen says now; empty while images are familiar.
+    /// Message for a screen; empty while images are familiar.
     pub fn message(&self, unlike: Unlike) -> &'static str {
         match (self.is_unlike, self.drops(unlike)) {
             (false, _) => "",

@@ -1,4 +1,4 @@
-//! What computes a network: the processor, or an execution provider of ONNX Runtime for a GPU or another accelerator.
+//! What runs a network: the processor, or an execution provider of ONNX Runtime for a GPU or another accelerator.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use ort::ep;
 use ort::session::builder::SessionBuilder;
 use panoscope_node::{Choice, Open};
 
-/// Execution providers by name. One that ONNX Runtime cannot use here leaves the network to the processor.
+/// Execution providers by name. If ONNX Runtime cannot use one here, the processor runs the network.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Provider {
     /// The processor.
@@ -24,7 +24,7 @@ pub enum Provider {
 }
 
 impl Provider {
-    /// Its name in ONNX Runtime's documents.
+    /// Name in ONNX Runtime's documentation.
     pub fn title(self) -> &'static str {
         match self {
             Self::Cpu => "the processor",
@@ -36,11 +36,11 @@ impl Provider {
         }
     }
 
-    /// Warns that the processor runs the network at `path` because of `reason`, where there is one.
+    /// Warns that the processor runs the network at `path`, if there is a `reason`.
     pub fn warn_if_refused(self, open: &Open<'_>, path: &Path, reason: Option<&str>) {
         if let Some(reason) = reason {
             open.warn(&format!(
-                "{} cannot run {} ({reason}); the processor does. Name an ONNX Runtime with that provider in ORT_DYLIB_PATH, or set `provider = \"cpu\"`",
+                "{} cannot run {} ({reason}); using the processor. Name an ONNX Runtime with that provider in ORT_DYLIB_PATH, or set `provider = \"cpu\"`",
                 self.title(),
                 path.display()
             ));
@@ -50,8 +50,8 @@ impl Provider {
     /// Adds the provider to a session that is being built.
     ///
     /// # Errors
-    /// ONNX Runtime's message, where its library was built without the provider or finds no device for it.
-    pub fn register(self, builder: &mut SessionBuilder) -> Result<(), String> {
+    /// ONNX Runtime's library has no such provider, or finds no device for it.
+    pub fn register(self, builder: &mut SessionBuilder) -> ort::Result<()> {
         let chosen = match self {
             Self::Cpu => return Ok(()),
             Self::Cuda => ep::CUDA::default().build(),
@@ -60,6 +60,6 @@ impl Provider {
             Self::Rocm => ep::ROCm::default().build(),
             Self::Migraphx => ep::MIGraphX::default().build(),
         };
-        chosen.register(builder).map_err(|e| e.to_string())
+        chosen.register(builder)
     }
 }

@@ -14,11 +14,11 @@ use panoscope_tracking::real_time::RealTime;
 
 use crate::silhouette::{Cues, Nearness, Silhouette};
 
-/// Inputs.
+/// Input ports of `proximity`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Tips in the left rectified camera's frame, mm, one per tool: two detections of one tip would count as two tips that touch. Warnings follow the
-    /// tool's number where it has one, otherwise the input.
+    /// Tips in the left rectified camera's frame, mm, one per tool: two detections of one tip would count as two touching tips. Warnings follow the
+    /// tool's number if it has one, otherwise the input.
     tip: List<'f, Value<'f, Tip>>,
     /// Depth of the left rectified view, mm. Without it `cloud` is used.
     depth: Option<Image<'f, Depth>>,
@@ -32,22 +32,22 @@ pub struct In<'f> {
     detections: Option<Detections<'f>>,
     /// One mask of all instruments.
     mask: Option<Image<'f, Mask>>,
-    /// The picture in which boxes were found, bgr8.
+    /// Image in which boxes were found, bgr8.
     image: Option<AnyImage<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `proximity`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// One row per tip: its number and class, its pixel and position (mm), distance to the tissue (mm) and the pixel of the nearest point, whether
-    /// that point is seen or hidden behind an instrument, and the state: -1 unknown, 0 clear, 1 near, 2 contact; distance to the nearest other tip
-    /// (mm), its number, and the state: 0 clear, 1 near; age of the surface (ms). `overlay` draws it.
+    /// One row per tip: number and class; pixel and position (mm); distance to the tissue (mm) and pixel of the nearest point; whether that point is
+    /// visible or hidden behind an instrument; state: -1 unknown, 0 clear, 1 near, 2 contact; distance to the nearest other tip (mm), its number, and
+    /// the state: 0 clear, 1 near; age of the surface (ms). `overlay` draws it.
     table: Slot<'f, TableData>,
     /// The warnings, one per line; empty when there is none.
     text: Slot<'f, TextPacket>,
 }
 
-/// Parameters.
+/// Parameters of `proximity`.
 #[derive(Params)]
 pub struct ProximityParams {
     /// Distance to the tissue below which a tip counts as near.
@@ -65,7 +65,7 @@ pub struct ProximityParams {
     /// Time for which a distance must stay beyond a threshold before a warning begins or ends.
     #[param(default = 60.0, range = 0.0..=5000.0, step = 10.0, unit = "ms")]
     min_ms: f64,
-    /// Width of the rim around instruments that is not used as tissue: matchers mix both depths there.
+    /// Width of the border around instruments that is not used as tissue, because matchers mix both depths there.
     #[param(default = 6, range = 0..=64, unit = "px")]
     rim_px: usize,
     /// Age after which a surface, or a tip, counts as unknown.
@@ -108,7 +108,7 @@ struct Watch {
     other: Hysteresis,
 }
 
-/// See the module.
+/// The `proximity` node.
 #[derive(Default)]
 pub struct Proximity {
     surface: Surface,
@@ -123,7 +123,7 @@ pub struct Proximity {
     words: String,
 }
 
-/// A tip that is used.
+/// A tip with known position.
 #[derive(Clone, Copy)]
 struct Known {
     tip: Tip,
@@ -156,7 +156,7 @@ impl Proximity {
                 return Ok(());
             }
             Err(error!(
-                "`{what}` is of a picture of {width}x{height}, depth is {}x{}: wire both of one view",
+                "`{what}` belongs to an image of {width}x{height}, but depth is {}x{}: connect both of one view",
                 size.0, size.1
             ))
         };
@@ -203,7 +203,7 @@ impl Proximity {
         Ok(input.mask.is_some() || input.instances.is_some() || input.detections.is_some())
     }
 
-    /// Builds the surface again when a newer depth has arrived and the instruments' pixels are known.
+    /// Rebuilds the surface when a newer depth has arrived and the instruments' pixels are known.
     fn renew(&mut self, input: &In<'_>, rim_px: usize) -> Result<()> {
         let c = &input.calibration;
         let p = &c.left_projection;
@@ -235,7 +235,7 @@ impl Proximity {
         }
     }
 
-    /// Forgets what a step back in time makes invalid, and takes the names of new labels.
+    /// Drops what a step back in time makes invalid, and takes the names of new labels.
     fn begin_tick(&mut self, now_ns: i64, input: &In<'_>) {
         if self.surface_ns.is_some_and(|made| made > now_ns) || self.watches.iter().any(|watch| watch.seen_ns > now_ns)
         {
@@ -255,14 +255,14 @@ impl Proximity {
         }
     }
 
-    /// Adds what is to be said about a tip: its state at the tissue, and another tip that is near.
+    /// Appends the warnings of a tip: its state at the tissue, and another tip that is near.
     fn describe(&mut self, Known { tip, .. }: &Known, state: f64, tissue_mm: f64, near: Option<(&Tip, f64)>) {
         if state != 0.0 {
             call(&mut self.words, &self.names, tip);
             let _ = match state {
                 2.0 => writeln!(self.words, " touches tissue"),
                 1.0 => writeln!(self.words, " is {tissue_mm:.1} mm from tissue"),
-                _ => writeln!(self.words, ": distance to tissue not known"),
+                _ => writeln!(self.words, ": distance to tissue unknown"),
             };
         }
         if let Some((other, tip_mm)) = near {
@@ -303,7 +303,7 @@ fn known_tips(cx: &Context<'_>, input: &In<'_>, max_age_ns: i64) -> [Option<Know
     known
 }
 
-/// Name of a tip: its class where that has a name, and its number.
+/// Appends the name of a tip: the name of its class if it has one, and its number.
 fn call(words: &mut String, names: &str, tip: &Tip) {
     let class = names.lines().nth(tip.class_index as usize).filter(|name| !name.is_empty()).unwrap_or("tip");
     words.push_str(class);
@@ -312,7 +312,7 @@ fn call(words: &mut String, names: &str, tip: &Tip) {
     }
 }
 
-/// A time in ns; the longest that fits for one that does not.
+/// Converts a time to ns; saturates at the maximum.
 fn nanoseconds(time: Duration) -> i64 {
     i64::try_from(time.as_nanos()).unwrap_or(i64::MAX)
 }

@@ -1,4 +1,4 @@
-//! Finding and opening ONNX Runtime's shared library, once per process.
+//! Finds and opens ONNX Runtime's shared library, once per process.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -6,45 +6,33 @@ use std::sync::OnceLock;
 use ort::environment::Environment;
 use panoscope_base::onnx;
 
-/// No file is a usable ONNX Runtime.
+/// No usable ONNX Runtime was found.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error(
-    "ONNX Runtime's shared library is not there: run `cargo xtask onnxruntime`, or name the file in ORT_DYLIB_PATH (tried: {})",
+    "ONNX Runtime's shared library was not found: run `cargo xtask onnxruntime`, or name the file in ORT_DYLIB_PATH (tried: {})",
     .tried.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 )]
 pub struct LibraryError {
-    /// Each file that was tried.
+    /// Error of each file that was tried.
     pub tried: Vec<FileError>,
 }
 
-/// Why one file is no usable ONNX Runtime.
+/// Why a file is not a usable ONNX Runtime.
 #[derive(Clone, Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum FileError {
-    /// The system does not load it.
+    /// The system cannot load it.
     #[error("{path}: {reason}", path = path.display())]
-    NotLoaded {
-        /// The file.
-        path: PathBuf,
-        /// The system's message.
-        reason: String,
-    },
+    NotLoaded { path: PathBuf, reason: String },
     /// It is another library.
-    #[error("{path}: has no OrtGetApiBase", path = path.display())]
-    OtherLibrary {
-        /// The file.
-        path: PathBuf,
-    },
-    /// ONNX Runtime does not start.
+    #[error("{path}: not an ONNX Runtime (no OrtGetApiBase)", path = path.display())]
+    OtherLibrary { path: PathBuf },
+    /// ONNX Runtime cannot start.
     #[error("{path}: {reason}", path = path.display())]
-    NotStarted {
-        /// The file.
-        path: PathBuf,
-        /// Its message.
-        reason: String,
-    },
+    NotStarted { path: PathBuf, reason: String },
 }
 
-/// Whether this process has loaded an ONNX Runtime already: a host that compares it with a lock does so before any node opens.
+/// Whether this process has already loaded an ONNX Runtime: a host that compares it with a lock does so before any node opens.
 fn is_loaded() -> bool {
     const RTLD_NOLOAD: i32 = 4;
     let flags = libloading::os::unix::RTLD_NOW | RTLD_NOLOAD;
@@ -52,12 +40,12 @@ fn is_loaded() -> bool {
     unsafe { libloading::os::unix::Library::open(Some(onnx::RUNTIME_SONAME), flags) }.map(std::mem::forget).is_ok()
 }
 
-/// Files to try: the one that is loaded already, or else those of [`onnx::runtime_candidates`].
+/// Files to try: the one that is already loaded, or else those of [`onnx::runtime_candidates`].
 fn candidates() -> Vec<PathBuf> {
     if is_loaded() { vec![onnx::RUNTIME_SONAME.into()] } else { onnx::runtime_candidates() }
 }
 
-/// Checks that a file is an ONNX Runtime, because `ort` ends the process when it is not.
+/// Checks that a file is an ONNX Runtime, because `ort` aborts the process when it is not.
 fn probe(path: &Path) -> Result<(), FileError> {
     let not_loaded = |e: libloading::Error| FileError::NotLoaded { path: path.to_owned(), reason: e.to_string() };
     // SAFETY: opening runs the library's constructors. The user chose the file, by the variable or by its place beside the program.

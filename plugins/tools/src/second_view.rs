@@ -1,35 +1,35 @@
-//! Depth of an instrument's end, by comparing it between both views.
+//! Depth of an instrument's end, from a comparison of both views.
 //!
-//! A matcher compares windows, and in a window around a thin end most pixels are tissue: it finds the tissue's disparity, or none. Here both views
-//! are first classified into instrument and tissue, by the colours learned from its silhouette, and these maps are compared: the outline of an end is
-//! visible in both views, however smooth its steel is.
+//! A matcher compares windows. In a window around a thin end most pixels are tissue, so the matcher finds the tissue's disparity or none. Here both
+//! views are first classified into instrument and tissue, by the colours learned from its silhouette, and these maps are compared: the outline of an
+//! end is visible in both views even on smooth steel.
 
 use panoscope_node::View;
 
 use crate::shaft::End;
 use crate::silhouette::Silhouette;
 
-/// Half the sides of the window that is compared, px at 640 columns.
+/// Half the side of the compared window, px at 640 columns.
 const HALF_WIDTH: f64 = 26.0;
 const HALF_HEIGHT: f64 = 18.0;
 /// Distance of the window's centre inside the instrument, as a share of its half width.
 const INSIDE: f64 = 0.4;
-/// Columns of the picture for which these sizes are stated.
+/// Number of image columns for which these sizes are stated.
 const COLUMNS: f64 = 640.0;
 /// Upper limit of the log-likelihood ratio of a pixel outside the silhouette.
 const OUTSIDE: f32 = -2.0;
-/// Smallest normalised correlation of both views, and smallest lead over every position farther away than `BESIDE_PX`.
+/// Minimum normalised correlation of both views, and minimum lead over every position farther away than `BESIDE_PX`.
 const MIN_VALUE: f32 = 0.6;
 const BETTER: f32 = 0.03;
 const BESIDE_PX: usize = 6;
-/// Share of the window that is instrument, at least and at most: an end has both around it.
+/// Minimum and maximum share of instrument in the window: an end has both instrument and tissue around it.
 const SHARES: (f32, f32) = (0.03, 0.9);
 
-/// Least side of the compared window, cells.
+/// Minimum side of the compared window, cells.
 const MIN_SIDE: usize = 8;
 /// Cells on either side of the best coarse position that are tried at full size.
 const REFINED_CELLS: usize = 2;
-/// Products that are added up side by side, so that they can be computed at once.
+/// Number of independent sums of products, so that they are computed in parallel.
 const LANES: usize = 8;
 
 /// Compares an end between two views; reuses its buffers.
@@ -44,30 +44,30 @@ pub struct SecondView {
     sums: Vec<[f32; 2]>,
 }
 
-/// The compared window of the left view, and where it is searched: whole pixels.
+/// The compared window of the left view, and its search range, in whole px.
 #[derive(Clone, Copy, Debug)]
 struct Window {
     x: (usize, usize),
     y: (usize, usize),
-    /// Smallest and largest disparity that is tried, px.
+    /// Minimum and maximum disparity that is tried, px.
     disparities: (usize, usize),
-    /// Pixels along one side of a cell.
+    /// Side of a cell, px.
     pitch: usize,
 }
 
 impl Window {
-    /// Columns and rows, cells.
+    /// Number of columns and rows, cells.
     fn size(&self) -> (usize, usize) {
         ((self.x.1 - self.x.0) / self.pitch, (self.y.1 - self.y.0) / self.pitch)
     }
 }
 
 impl SecondView {
-    /// Disparity of an end of the instrument that `silhouette` cut out last, px; disparities from `range` are tried. None where colours were not
-    /// learned, the end is not seen in the other view, or no position fits clearly better than all others. Both views are rectified and of one size, blue,
-    /// green, red.
+    /// Disparity of an end of the instrument that `silhouette` segmented last, px; disparities from `range` are tried. `None` if colours were not
+    /// learned, the end is not visible in the other view, or no position fits clearly better than all others. Both views are rectified and of one
+    /// size, blue, green, red.
     ///
-    /// Large views are compared in cells first, as many as a view of 640 columns has pixels, and at full size near the best position. Cost
+    /// Large views are first compared in cells, as many as a view of 640 columns has pixels, and then at full size near the best position. Cost
     /// O(cells of the window x cells of the range).
     pub fn disparity(
         &mut self,
@@ -118,7 +118,7 @@ impl SecondView {
         self.fit.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Where between its neighbours the best fit is: -0.5 to 0.5 positions from `best`, 0 at either end.
+    /// Subpixel position of the best fit relative to `best`: -0.5 to 0.5 positions, 0 at either end.
     fn peak(&self, best: usize) -> f64 {
         if best == 0 || best + 1 >= self.fit.len() {
             return 0.0;
@@ -128,8 +128,8 @@ impl SecondView {
         if bend < -1e-9 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
     }
 
-    /// Sets `fit` to the normalised correlation of the window with each position, from the largest disparity down: the window moves to the right. None
-    /// where too little or too much of it is instrument.
+    /// Sets `fit` to the normalised correlation of the window with each position, from the maximum disparity down: the window moves to the right.
+    /// `None` if the share of instrument is too small or too large.
     fn compare(&mut self, silhouette: &Silhouette, [left, right]: [&View<'_, u8>; 2], window: &Window) -> Option<()> {
         let Window { x: (x0, _), y: (y0, _), disparities: (first, last), pitch } = *window;
         let (columns, rows) = window.size();
@@ -197,7 +197,7 @@ impl SecondView {
     }
 }
 
-/// The sum of the products of two rows of one length.
+/// Sum of the products of two rows of equal length.
 fn product(a: &[f32], b: &[f32]) -> f32 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut sums = [0.0_f32; LANES];

@@ -1,4 +1,4 @@
-//! A session of ONNX Runtime: the file is checked first, a provider is chosen, tensors go in and out as slices.
+//! A session of ONNX Runtime: checks the file, selects a provider, and passes tensors in and out as slices.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use half::f16;
 use ort::environment::Environment;
-use ort::session::builder::SessionBuilder;
 use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, PrimitiveTensorElementType, TensorElementType, TensorRef};
 
@@ -16,29 +15,20 @@ use crate::runtime_library::{self, LibraryError};
 
 /// Why a model cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SessionError {
-    /// No ONNX Runtime.
+    /// ONNX Runtime cannot be used.
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// The file itself.
+    /// The file cannot be used.
     #[error(transparent)]
     File(#[from] OnnxFileError),
-    /// ONNX Runtime refused it.
-    #[error("ONNX Runtime cannot open {path}: {reason}", path = path.display())]
-    Open {
-        /// The file.
-        path: PathBuf,
-        /// Its message.
-        reason: String,
-    },
-    /// A run failed.
-    #[error("{path} failed: {reason}", path = path.display())]
-    Run {
-        /// The file.
-        path: PathBuf,
-        /// ONNX Runtime's message.
-        reason: String,
-    },
+    /// ONNX Runtime cannot open the file.
+    #[error("ONNX Runtime cannot open {path}: {reason}", path = path.display(), reason = first_line(source))]
+    Open { path: PathBuf, source: ort::Error },
+    /// A run of the network failed.
+    #[error("{path} failed in ONNX Runtime: {reason}", path = path.display(), reason = first_line(source))]
+    Run { path: PathBuf, source: ort::Error },
 }
 
 /// An input or output as the model declares it.
@@ -46,7 +36,7 @@ pub enum SessionError {
 pub struct Declared {
     /// Its name.
     pub name: String,
-    /// Type of its elements; `None` where it is not a tensor.
+    /// Type of its elements; `None` if it is not a tensor.
     pub element: Option<TensorElementType>,
     /// Its shape; -1 for an axis of any length.
     pub dims: Vec<i64>,
@@ -69,13 +59,13 @@ impl fmt::Display for Declared {
     }
 }
 
-/// A shape as messages show it, as in `1x3x?x?`.
+/// A shape as text for messages, as in `1x3x?x?`.
 pub fn dims_text(dims: &[i64]) -> String {
     let one = |&dim: &i64| if dim < 0 { "?".to_owned() } else { dim.to_string() };
     if dims.is_empty() { "number".to_owned() } else { dims.iter().map(one).collect::<Vec<_>>().join("x") }
 }
 
-/// Several inputs or outputs as messages show them.
+/// Several inputs or outputs as text for messages.
 pub fn list_text<T: fmt::Display>(all: &[T]) -> String {
     if all.is_empty() { "nothing".into() } else { all.iter().map(T::to_string).collect::<Vec<_>>().join(", ") }
 }
@@ -98,10 +88,10 @@ impl fmt::Display for Tensor<'_> {
     }
 }
 
-/// Numbers of an output. Other floats, small whole numbers and truth values are read as f32, i32 as i64.
+/// Values of an output. Other floats, small integers and booleans are read as f32, i32 as i64.
 #[derive(Clone, Copy)]
 pub enum Values<'a> {
-    /// Maximum number of outputs.
+    /// 32-bit floats.
     Float(&'a [f32]),
     /// Class numbers.
     Int(&'a [i64]),
@@ -110,7 +100,7 @@ pub enum Values<'a> {
 }
 
 impl<'a> Values<'a> {
-    /// The numbers, where they are floats.
+    /// The values if they are floats.
     pub fn floats(self) -> Option<&'a [f32]> {
         if let Self::Float(values) = self { Some(values) } else { None }
     }
@@ -135,11 +125,11 @@ pub struct RunInput<'a> {
     pub name: &'a str,
     /// Its shape.
     pub dims: Vec<i64>,
-    /// As many values as the shape has.
+    /// Values; as many as the shape has.
     pub values: InputValues<'a>,
 }
 
-/// Values of an output of another type than f32 and i64.
+/// Converted values of an output of another type than f32 and i64.
 #[derive(Default)]
 struct Widened {
     floats: Vec<f32>,
@@ -157,33 +147,30 @@ pub struct ModelSession {
     widened: Vec<Widened>,
 }
 
-/// A session on `provider`; else ONNX Runtime's message.
+/// Builds a session on `provider`.
 fn session_of(
     environment: &Environment,
     path: &Path,
     file: &OnnxFile,
     threads: usize,
     provider: Provider,
-) -> Result<Session, String> {
-    let text = |e: ort::Error<SessionBuilder>| e.to_string();
-    let mut builder = Session::builder(environment).map_err(|e| e.to_string())?;
+) -> ort::Result<Session> {
+    let mut builder = Session::builder(environment)?;
     provider.register(&mut builder)?;
-    let builder = builder.with_intra_threads(threads.max(1)).map_err(text)?;
-    let builder = builder.with_inter_threads(1).map_err(text)?;
+    let builder = builder.with_intra_threads(threads.max(1))?;
+    let builder = builder.with_inter_threads(1)?;
     // What went wrong comes back as an error; a second line on the terminal would only cover the progress.
-    let builder = builder.with_log_level(ort::logging::LogLevel::Fatal).map_err(text)?;
+    let builder = builder.with_log_level(ort::logging::LogLevel::Fatal)?;
     // Threads spin while the network runs (waking them between its hundred steps would cost as much as the steps) and stop with its end: a
     // waiting thread that keeps spinning takes the core from the next node.
-    let builder = builder.with_intra_op_spinning(true).map_err(text)?;
-    let builder = builder.with_config_entry("session.force_spinning_stop", "1").map_err(text)?;
-    let mut builder = builder.with_inter_op_spinning(false).map_err(text)?;
+    let builder = builder.with_intra_op_spinning(true)?;
+    let builder = builder.with_config_entry("session.force_spinning_stop", "1")?;
+    let mut builder = builder.with_inter_op_spinning(false)?;
     for (name, bytes) in &file.weights {
-        builder = builder.with_external_initializer_file_in_memory(name, bytes.clone()).map_err(text)?;
+        builder = builder.with_external_initializer_file_in_memory(name, bytes.clone())?;
     }
     // From what was looked through; only weights beside the model need its path.
-    let session =
-        if file.has_weights_beside { builder.commit_from_file(path) } else { builder.commit_from_memory(&file.bytes) };
-    session.map_err(|e| e.to_string())
+    if file.has_weights_beside { builder.commit_from_file(path) } else { builder.commit_from_memory(&file.bytes) }
 }
 
 fn metadata_of(session: &Session) -> BTreeMap<String, String> {
@@ -199,7 +186,7 @@ fn metadata_of(session: &Session) -> BTreeMap<String, String> {
 }
 
 impl ModelSession {
-    /// Opens a file. Where `provider` cannot run it the processor does: see [`Self::refused`].
+    /// Opens a file. If `provider` cannot run it, the processor does; see [`Self::refused`].
     ///
     /// # Errors
     /// No ONNX Runtime, or a file that cannot be used.
@@ -211,7 +198,7 @@ impl ModelSession {
             Err(reason) if provider != Provider::Cpu => (session_on(Provider::Cpu), Some(first_line(&reason))),
             opened => (opened, None),
         };
-        let session = session.map_err(|e| SessionError::Open { path: path.to_owned(), reason: first_line(&e) })?;
+        let session = session.map_err(|source| SessionError::Open { path: path.to_owned(), source })?;
         let (inputs, outputs) = (session.inputs(), session.outputs());
         Ok(Self {
             inputs: inputs.iter().map(Declared::of).collect(),
@@ -224,12 +211,12 @@ impl ModelSession {
         })
     }
 
-    /// Why the provider that was asked for does not run the network, where the processor runs it instead.
+    /// Why the requested provider does not run the network, if the processor runs it instead.
     pub fn refused(&self) -> Option<&str> {
         self.refused.as_deref()
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -244,12 +231,12 @@ impl ModelSession {
         &self.outputs
     }
 
-    /// A custom key of the file.
+    /// Value of a custom metadata key of the file.
     pub fn metadata(&self, key: &str) -> Option<&str> {
         self.metadata.get(key).map(String::as_str)
     }
 
-    /// Runs the network and hands its outputs, in the order of the file, to `read`.
+    /// Runs the network and passes its outputs, in the order of the file, to `read`.
     ///
     /// # Errors
     /// ONNX Runtime's message.
@@ -259,7 +246,7 @@ impl ModelSession {
         read: impl FnOnce(&[Tensor<'_>]) -> T,
     ) -> Result<T, SessionError> {
         let Self { session, path, widened, .. } = self;
-        let failed = |e: ort::Error| SessionError::Run { path: path.clone(), reason: first_line(&e.to_string()) };
+        let failed = |source| SessionError::Run { path: path.clone(), source };
         let mut values = Vec::with_capacity(inputs.len());
         for input in inputs {
             values.push((input.name, input.value().map_err(failed)?));
@@ -337,6 +324,6 @@ impl Widened {
     }
 }
 
-fn first_line(text: &str) -> String {
-    text.lines().next().unwrap_or("").chars().take(300).collect()
+fn first_line(error: &ort::Error) -> String {
+    error.to_string().lines().next().unwrap_or("").chars().take(300).collect()
 }

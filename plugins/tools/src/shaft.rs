@@ -1,8 +1,10 @@
-//! Where an instrument ends: from its mask along the shaft's axis, or from its box alone.
+//! Finds where an instrument ends: from its mask along the shaft's axis, or from its box alone.
 
 mod axis;
+mod moments;
 
 pub use axis::ShaftAxis;
+use moments::Moments;
 
 /// A mask as bits: most significant first, rows padded to whole bytes.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +17,7 @@ pub struct Mask<'a> {
 }
 
 impl<'a> Mask<'a> {
-    /// Bits as a mask; missing rows are empty.
+    /// Wraps bits as a mask; missing rows are empty.
     pub fn new(bits: &'a [u8], width: usize, height: usize) -> Self {
         let height = bits.len().checked_div(width.div_ceil(8)).map_or(0, |rows| height.min(rows));
         Self { bits, width, height }
@@ -47,7 +49,7 @@ impl<'a> Mask<'a> {
             .chain((1..bottom).rev().map(|y| (0, y)))
     }
 
-    /// Middle of the widest part of the border that the mask touches: where its shaft enters.
+    /// Centre of the widest part of the border that the mask touches: where the shaft enters.
     fn entry(&self) -> Option<[f64; 2]> {
         let around = self.width.checked_mul(2)? + self.height * 2;
         let first_gap = self.border().position(|(x, y)| !self.contains(x, y))?;
@@ -82,36 +84,36 @@ pub struct End {
     pub direction: [f64; 2],
 }
 
-/// A tip in px of the picture.
+/// A tip in px of the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TipPixel {
     /// The tip; between open jaws the middle of both ends.
     pub tip: End,
-    /// The ends of jaws that stand open.
+    /// The ends of open jaws.
     pub jaws: Option<[End; 2]>,
 }
 
-/// Length along the axis over which the end is averaged, px: the outermost pixel alone is noisy.
+/// Length along the axis over which the end is averaged, px, because the outermost pixel alone is noisy.
 const END_PX: f64 = 2.0;
-/// Last share of the length over which the middle between both sides is computed.
+/// Final share of the length over which the middle between both sides is computed.
 const END_SHARE: f64 = 0.08;
-/// Ratio of variances from which a mask has its own direction, if that agrees with its entry; a wider mask points away from its entry.
+/// Ratio of variances above which a mask's own direction is used if it agrees with its entry; a wider mask points away from its entry.
 const LONG: f64 = 6.0;
-/// Ratio of variances from which it has its own direction in any case: a shaft along the border.
+/// Ratio of variances above which its own direction is always used, as for a shaft along the border.
 const VERY_LONG: f64 = 20.0;
-/// Gap between parts of the border that count as one.
+/// Maximum gap between parts of the border that count as one, px.
 const BORDER_GAP_PX: usize = 3;
-/// Maximum number of lines across the axis into which a mask is cut.
+/// Maximum number of lines across the axis into which a mask is divided.
 const MAX_LINES: f64 = 256.0;
-/// Parts of a mask with less than this share of its pixels are no instrument.
+/// Parts of a mask with less than this share of its pixels are not instruments.
 const SPECK_SHARE: f64 = 0.1;
 /// Parts that begin within this share of a mask's length enter from outside.
 const ENTRY_SHARE: f64 = 0.15;
-/// Smallest length of the shorter jaw: as a share of the longer one, and in px. Shorter parts are roughness of the outline.
+/// Minimum length of the shorter jaw: as a share of the longer one, and in px. Shorter parts are roughness of the outline.
 const JAW_SHARE: f64 = 0.35;
 const JAW_PX: f64 = 5.0;
 
-/// Pixels of the mask side by side on one line across its axis, in steps.
+/// A run of mask pixels on one line across the axis, in steps.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     from: u32,
@@ -120,15 +122,15 @@ struct Run {
     branch: u32,
 }
 
-/// A branch from one end of a mask to where a longer branch takes it over.
+/// A branch from one end of a mask to where it merges into a longer branch.
 #[derive(Clone, Copy, Debug)]
 struct Branch {
     end_line: u32,
-    /// The longer branch that took it over, or itself.
+    /// The longer branch into which it merges, or itself.
     owner: u32,
-    /// Line where that happened; its own start, if no branch took it over.
+    /// Line where it merges; its own start if it does not.
     fork_line: u32,
-    /// Steps in its runs.
+    /// Number of steps in its runs.
     size: f64,
 }
 
@@ -136,7 +138,7 @@ struct Branch {
 #[derive(Clone, Copy, Debug)]
 struct LastMask {
     lines: Lines,
-    /// Line of its end, and the one where its jaws part.
+    /// Line of its end, and the line where its jaws part.
     end_line: u32,
     fork_line: Option<u32>,
 }
@@ -145,16 +147,16 @@ struct LastMask {
 #[derive(Debug, Default)]
 pub struct TipFinder {
     runs: Vec<Run>,
-    /// First run of each line.
+    /// Index of the first run of each line.
     starts: Vec<u32>,
     branches: Vec<Branch>,
     last: Option<LastMask>,
-    /// Middles of the shaft, and whether its axis goes by them; their distances from it, px.
+    /// Centres of the shaft, and whether they determine its axis; their distances from the axis, px.
     middles: Vec<([f64; 2], bool)>,
     off_px: Vec<f64>,
 }
 
-/// The lines across a mask: point `(line, step)` lies at `from + line * pitch * axis + step * pitch * across`.
+/// The lines across a mask: point `(line, step)` is at `from + line * pitch * axis + step * pitch * across`.
 #[derive(Clone, Copy, Debug)]
 struct Lines {
     from: [f64; 2],
@@ -180,52 +182,29 @@ fn unit(v: [f64; 2]) -> Option<[f64; 2]> {
 impl TipFinder {
     /// The tip of a mask.
     ///
-    /// The instrument enters where the mask touches the picture's border most; where it does not, on the side nearer to it. The shaft's axis is the
-    /// mask's main direction, or for a wide mask (a bag, open jaws) the line from the entry through the mask's middle. The tip is where the mask ends
-    /// on the other side, in the middle of its end; where it forks there into two jaws, the middle of both ends. `None` for an empty mask.
+    /// The instrument enters where the mask touches the image border most, or, if it does not, on the side nearer to the border. The shaft's axis is
+    /// the mask's main direction, or for a wide mask (a bag, open jaws) the line from the entry through the mask's centre. The tip is where the mask
+    /// ends on the other side, in the middle of its end; if it forks there into two jaws, the middle of both ends. `None` for an empty mask.
     pub fn of_mask(&mut self, mask: Mask<'_>) -> Option<TipPixel> {
         self.of_mask_towards(mask, None)
     }
 
-    /// As [`Self::of_mask`], for an instrument that is known to point about in this direction, whatever its mask touches.
+    /// As [`Self::of_mask`], for an instrument whose approximate direction is known, whatever its mask touches.
     pub fn of_mask_towards(&mut self, mask: Mask<'_>, towards: Option<[f64; 2]>) -> Option<TipPixel> {
         let (width, height) = (mask.width as f64, mask.height as f64);
         self.last = None;
-        let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-        mask.each(&mut |x, y| {
-            n += 1.0;
-            sx += x;
-            sy += y;
-            sxx += x * x;
-            sxy += x * y;
-            syy += y * y;
-        });
-        if n == 0.0 {
-            return None;
-        }
-        let (cx, cy) = (sx / n, sy / n);
-        let (a, b, c) = (sxx / n - cx * cx, sxy / n - cx * cy, syy / n - cy * cy);
-        let angle = 0.5 * (2.0 * b).atan2(a - c);
-        let spread = ((a - c).powi(2) + 4.0 * b * b).sqrt();
-        let is_longer = |ratio: f64| a + c + spread >= ratio * (a + c - spread).max(0.0);
-        let main = [angle.cos(), angle.sin()];
+        let moments = Moments::of(&mask)?;
+        let [cx, cy] = moments.centre;
+        let main = moments.main;
         let from_entry = mask.entry().map(|[x, y]| [cx - x, cy - y]).filter(|v| v[0].hypot(v[1]) > 1.0);
         let mut axis = match from_entry.and_then(unit) {
             Some(away) => {
                 let agrees = (away[0] * main[0] + away[1] * main[1]).abs() > 0.7;
-                if is_longer(VERY_LONG) || (is_longer(LONG) && agrees) { main } else { away }
+                if moments.is_longer(VERY_LONG) || (moments.is_longer(LONG) && agrees) { main } else { away }
             }
             None => main,
         };
-        let reach = |axis: [f64; 2]| {
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            mask.each(&mut |x, y| {
-                let t = (x - cx) * axis[0] + (y - cy) * axis[1];
-                (low, high) = (low.min(t), high.max(t));
-            });
-            (low, high)
-        };
-        let (mut low, mut high) = reach(axis);
+        let (mut low, mut high) = moments.reach(&mask, axis);
         let from_border = |t: f64| {
             let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
             x.min(y).min(width - 1.0 - x).min(height - 1.0 - y)
@@ -237,7 +216,7 @@ impl TipFinder {
         if !enters_low {
             (axis, low, high) = ([-axis[0], -axis[1]], -high, -low);
         }
-        let (left, right) = reach([-axis[1], axis[0]]);
+        let (left, right) = moments.reach(&mask, [-axis[1], axis[0]]);
         let pitch = ((high - low).max(right - left) / MAX_LINES).max(1.0);
         let count = |length: f64| (length / pitch).ceil() as usize + 1;
         let from = [cx + low * axis[0] - left * axis[1], cy + low * axis[1] + left * axis[0]];
@@ -259,29 +238,10 @@ impl TipFinder {
         }
         // Without a fork: the middle of its last part.
         let end = low + f64::from(end_line) * pitch;
-        let part = (END_SHARE * (end - low)).max(END_PX);
-        let (mut ends, mut reach, mut beside, mut offset) = (0.0, 0.0, 0.0, 0.0);
-        mask.each(&mut |x, y| {
-            let t = (x - cx) * axis[0] + (y - cy) * axis[1];
-            let before_end = end - t;
-            if (-pitch..=END_PX.max(pitch)).contains(&before_end) {
-                ends += 1.0;
-                reach += t;
-            }
-            if (-pitch..=part).contains(&before_end) {
-                beside += 1.0;
-                offset += (y - cy) * axis[0] - (x - cx) * axis[1];
-            }
-        });
-        if ends == 0.0 || beside == 0.0 {
-            return None;
-        }
-        let (reach, offset) = (reach / ends, offset / beside);
-        let (u_px, v_px) = (cx + reach * axis[0] - offset * axis[1], cy + reach * axis[1] + offset * axis[0]);
-        Some(TipPixel { tip: End { u_px, v_px, direction: axis }, jaws: None })
+        moments.middle_of_end(&mask, axis, (low, end), pitch)
     }
 
-    /// Cuts the mask into runs.
+    /// Divides the mask into runs.
     fn cut(&mut self, mask: &Mask<'_>, lines: &Lines) {
         self.runs.clear();
         self.starts.clear();
@@ -312,7 +272,7 @@ impl TipFinder {
         branch
     }
 
-    /// Lets branches grow from the far end: where two meet, the one that reaches farther takes the other over.
+    /// Grows branches from the far end; where two meet, the one that reaches farther continues.
     fn grow(&mut self) {
         let Self { runs, starts, branches, .. } = self;
         branches.clear();
@@ -353,7 +313,7 @@ impl TipFinder {
         }
     }
 
-    /// The farthest branch that is no speck, and the jaw beside it with the line where they part.
+    /// The farthest branch that is not a speck, and the jaw next to it with the line where they part.
     fn fork(&self, lines: &Lines) -> Option<(u32, Option<(u32, u32)>)> {
         let whole = |number: &u32| self.branches[*number as usize].owner == *number;
         let numbers = || 0..self.branches.len() as u32;
@@ -399,7 +359,7 @@ impl TipFinder {
     }
 }
 
-/// Where the instrument in a box (left, top, right, bottom) points: away from the border that the box is nearest to, for its shaft comes from there.
+/// Direction of the instrument in a box (left, top, right, bottom): away from the border that the box is nearest to, where its shaft enters.
 pub fn direction_of_box(corners: [f32; 4], width: usize, height: usize) -> [f64; 2] {
     let [x0, y0, x1, y1] = corners.map(f64::from);
     let gaps =
@@ -415,8 +375,8 @@ pub fn direction_of_box(corners: [f32; 4], width: usize, height: usize) -> [f64;
     [-towards[0] / norm, -towards[1] / norm]
 }
 
-/// The tip of a box (left, top, right, bottom). Detectors box the working end; the tip is where the line from its centre in
-/// [`direction_of_box`] leaves the box. Rough: half the box's width is its error.
+/// The tip of a box (left, top, right, bottom). Detectors box the working end; the tip is where the line from its centre in [`direction_of_box`]
+/// leaves the box. Inaccurate: the error may be half the box's width.
 pub fn tip_of_box(corners: [f32; 4], width: usize, height: usize) -> TipPixel {
     let [x0, y0, x1, y1] = corners.map(f64::from);
     let (cx, cy) = ((x0 + x1) / 2.0, (y0 + y1) / 2.0);
@@ -447,7 +407,7 @@ mod tests {
         TipFinder::default().of_mask(Mask::new(&bits_of(width, height, inside), width, height))
     }
 
-    /// Whether a point lies on a bar of a width from one point to another.
+    /// Whether a point is on a bar of a given width between two points.
     pub(super) fn on_bar([x, y]: [f64; 2], [ax, ay]: [f64; 2], [bx, by]: [f64; 2], width: f64) -> bool {
         let length = (bx - ax).hypot(by - ay);
         let (t, s) = (

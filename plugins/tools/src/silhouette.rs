@@ -1,7 +1,7 @@
-//! An instrument cut out of its box: what stands before the tissue and is not as red.
+//! Segments an instrument inside its box: pixels in front of the tissue that are less red than it.
 //!
-//! A detector's box says where an instrument's working end is, not where it ends. Two things identify its pixels: it is nearer to the camera
-//! than the surface around it, and it is gray, black or blue where tissue is red to yellow. What both say of first guesses teaches the colours of this
+//! A detector's box says where an instrument's working end is, not where it ends. Two cues identify its pixels: it is nearer to the camera than the
+//! surface around it, and it is gray, black or blue where tissue is red to yellow. A first guess from both cues is used to learn the colours of this
 //! instrument and of this tissue, as in GrabCut (Rother, Kolmogorov, Blake 2004) with histograms instead of mixtures and without a cut; the largest
 //! connected part in the box is the instrument.
 
@@ -20,40 +20,40 @@ const MAX_AGAINST: f32 = -2.0;
 const FIRST_GUESS: f32 = 3.0;
 /// Standard deviations in front of the surface from which a cell is certainly in front of it.
 const BEFORE: f32 = 2.0;
-/// Share of the largest part's cells from which another part may be a jaw, and share of its own cells that must be gray then.
+/// Minimum size of a part that may be a jaw, as a share of the largest part's cells, and the share of its own cells that must be gray then.
 const JAW_SHARE: f32 = 0.3;
 const MAX_OF: f32 = 0.7;
 /// Standard deviations less red than tissue from which a cell is certainly gray.
 const GRAY: f32 = 1.5;
-/// Log-likelihood ratio of the learned colours from which a cell beside the instrument is added to it.
+/// Log-likelihood ratio of the learned colours from which a cell next to the instrument is added to it.
 const GROWS: f32 = 1.0;
-/// Weight of redness, and most that the share of a colour in the box says beside its share around it, where nothing is known of nearness.
+/// Weight of redness, and maximum log ratio of a colour's share in the box to its share around it, if nearness is unknown.
 const ALONE: f32 = 2.0;
 const MAX_SHARE: f32 = 2.0;
 /// Brightness from which a gray cell may be glare on wet tissue.
 const GLARE: f32 = 0.75;
-/// Smallest standard deviation of the surface's nearness, as a share of it, and of its redness: the errors of matching and noise.
+/// Minimum standard deviation of the surface's nearness, as a share of it, and of its redness: the errors of matching and noise.
 const NEARNESS_FLOOR: f32 = 0.006;
 const REDNESS_FLOOR: f32 = 0.02;
-/// Pixels whose classes are computed at once.
+/// Number of pixels whose classes are computed at once.
 const PIXELS_AT_ONCE: usize = 64;
 /// Limit of the final log-likelihood ratio of colour or nearness.
 const LOG_RATIO_LIMIT: f32 = 3.0;
-/// What a cell is while colours are learned: an instrument, one that is gray, one that is gray and near; tissue.
+/// Class of a cell while colours are learned: an instrument, one that is gray, one that is gray and near; tissue.
 const TOOL: u8 = 1;
 const GRAY_TOOL: u8 = 2;
 const NEAR_TOOL: u8 = 4;
 const TISSUE: u8 = 8;
-/// Smallest and largest share of the box's cells that an instrument covers.
+/// Minimum and maximum share of the box's cells that an instrument covers.
 const COVERS: (f32, f32) = (0.04, 0.9);
 
 /// Segments instruments; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Silhouette {
     cells: Cells,
-    /// Per cell: whether it is in the box.
+    /// For each cell, whether it is in the box.
     is_in_box: Vec<bool>,
-    /// Whether colours alone distinguish the instrument: nothing is known of nearness.
+    /// Whether colours alone distinguish the instrument, because nearness is unknown.
     is_by_colour: bool,
     /// Score for an instrument, and the score before colours were learned.
     score: Vec<f32>,
@@ -63,20 +63,20 @@ pub struct Silhouette {
     colour: Vec<f32>,
     /// Log-likelihood ratio of each class of colours; empty before any were learned.
     log_ratios: Vec<f32>,
-    /// Buffers.
+    /// Work memory.
     sorted: Vec<f32>,
     columns: Vec<f64>,
     blurred: Vec<f32>,
-    /// Per cell: what it is while colours are learned.
+    /// For each cell, its class while colours are learned.
     kind: Vec<u8>,
     part: Vec<u32>,
-    /// Parts and their cells in the box.
+    /// Parts and their number of cells in the box.
     others: Vec<(u32, usize)>,
     queue: Vec<u32>,
     bits: Vec<u8>,
 }
 
-/// Median, and the deviation of a normal distribution with the same median distance from it. None of too few values.
+/// Median, and the standard deviation of a normal distribution with the same median distance from it. `None` for too few values.
 fn median(sorted: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> Option<(f32, f32)> {
     sorted.clear();
     sorted.extend(values.filter(|v| v.is_finite()));
@@ -91,7 +91,7 @@ fn median(sorted: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> Option<(f
     Some((centre, 1.4826 * *distance))
 }
 
-/// How much more often each class of colours occurs among the `own` cells than among the `other` ones, as logarithm, at most `most` either way.
+/// Log of the ratio of each colour class's frequency among the `own` cells to that among the `other` ones, limited to `most` either way.
 fn log_ratios(own: &[f32; COLOURS], other: &[f32; COLOURS], most: f32) -> [f32; COLOURS] {
     let [owns, others] = [own, other].map(|counts| counts.iter().sum::<f32>());
     std::array::from_fn(|of| ((own[of] / owns) / (other[of] / others)).ln().clamp(-most, most))
@@ -139,12 +139,12 @@ impl Silhouette {
         Mask::new(&self.bits, self.cells.region.width, self.cells.region.height)
     }
 
-    /// Whether colours alone distinguished the last instrument, which is then cut off at its box: the mask does not say where it enters.
+    /// Whether colours alone distinguished the last instrument. It is then cut off at its box, and the mask does not show where it enters.
     pub fn is_by_colour(&self) -> bool {
         self.is_by_colour
     }
 
-    /// Whether a pixel of the picture belongs to the instrument.
+    /// Whether a pixel of the image belongs to the instrument.
     pub fn contains(&self, x: usize, y: usize) -> bool {
         let r = &self.cells.region;
         // Cells of one pixel need no division.
@@ -162,8 +162,8 @@ impl Silhouette {
         column < r.width && row < r.height && self.cells.near[row * r.width + column] < BEFORE
     }
 
-    /// What the colours learned of the last instrument say of each pixel of a row (blue, green, red), of either view: above 0 it is instrument, below
-    /// 0 tissue. None where none were learned.
+    /// Log-likelihood ratios of the last instrument's learned colours for each pixel of a row (blue, green, red) of either view: above 0 instrument,
+    /// below 0 tissue. `None` if no colours were learned.
     pub fn log_ratios(&self, row: &[u8], ratios: &mut Vec<f32>) -> Option<()> {
         if self.log_ratios.is_empty() {
             return None;
@@ -182,7 +182,7 @@ impl Silhouette {
         Some(())
     }
 
-    /// A tip of [`Silhouette::mask`] in px of the picture.
+    /// Converts a tip of [`Silhouette::mask`] to px of the image.
     pub fn place(&self, tip: TipPixel) -> TipPixel {
         let pitch = self.cells.region.pitch as f64;
         let to_px = |cell: f64, from: usize| from as f64 + (cell + 0.5) * pitch - 0.5;
@@ -212,7 +212,7 @@ impl Silhouette {
         true
     }
 
-    /// Makes the score of redness count for both cues, and adds how much more often a colour occurs in the box than around it: steel that mirrors tissue is
+    /// Applies the score of redness twice, and adds how much more often a colour occurs in the box than around it. Steel that mirrors tissue is
     /// hardly less red than pale tissue, but there is more of it in the box.
     fn judge_colours_alone(&mut self) {
         let Self { cells: Cells { redness, class, .. }, is_in_box, score, .. } = self;
@@ -233,7 +233,7 @@ impl Silhouette {
         }
     }
 
-    /// Adds the score of nearness: in front of the surface, a plane fitted after nearer cells are dropped.
+    /// Adds the score of nearness: in front of the surface, a plane that is fitted after nearer cells are dropped.
     fn judge_nearness(&mut self) -> bool {
         let Self { cells: Cells { region, near, .. }, sorted, columns, score, .. } = self;
         let known = near.iter().filter(|v| v.is_finite()).count();
@@ -286,7 +286,7 @@ impl Silhouette {
         true
     }
 
-    /// Learns the colours of instrument and surroundings from the present score, and scores all cells again.
+    /// Learns the colours of instrument and surroundings from the present score, and computes the score of all cells again.
     fn learn_colours(&mut self) {
         let (mut tool, mut tissue) = ([1.0_f32; COLOURS], [1.0_f32; COLOURS]);
         // Pale tissue looks like steel, and tissue that bulges stands before the surface: where some cells are both gray and near, colours are learned
@@ -361,7 +361,7 @@ impl Silhouette {
         std::mem::swap(&mut self.score, &mut self.blurred);
     }
 
-    /// Keeps the largest connected part; parts count by their cells in the box.
+    /// Keeps the largest connected part, measured by its cells in the box.
     fn largest(&mut self) -> bool {
         let (width, height) = (self.cells.region.width, self.cells.region.height);
         let count = width * height;
@@ -418,7 +418,7 @@ impl Silhouette {
         true
     }
 
-    /// Adds a second part as the other jaw, where the joint of both is outside the picture or the box.
+    /// Adds a second part as the other jaw, if the joint of both is outside the image or the box.
     fn join_jaw(&mut self, best: u32, best_cells: usize) {
         let is_gray = |part: u32| {
             let cells = || (0..self.part.len()).filter(|index| self.part[*index] == part);
@@ -435,8 +435,8 @@ impl Silhouette {
         self.grow(best);
     }
 
-    /// Adds what has the instrument's colours and hangs together with it: ends that are thinner than a matcher's window have the depth of the
-    /// tissue behind them, and smoothing takes them away.
+    /// Adds connected cells with the instrument's colours: ends that are thinner than a matcher's window have the depth of the tissue behind them,
+    /// and smoothing removes them.
     fn grow(&mut self, best: u32) {
         let (width, height) = (self.cells.region.width, self.cells.region.height);
         if self.colour.len() != self.part.len() {

@@ -1,4 +1,5 @@
-//! `skill`: how skilfully instruments are moved, while they are (thesis, abstract). What each measure means: `panoscope_tracking::skill`.
+//! `skill`: measures how skilfully instruments are moved, during the operation (thesis, abstract). The measures are defined in
+//! `panoscope_tracking::skill`.
 
 use std::collections::VecDeque;
 use std::fmt::Write;
@@ -12,24 +13,24 @@ use panoscope_node::{
 use panoscope_tracking::skill::measures::FIGURES;
 use panoscope_tracking::skill::{Measures, Sample, Session, Settings};
 
-/// Inputs.
+/// Input ports of `skill`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Tips in the left rectified camera's frame, mm. Connect one `tip_track` per hand.
     tip: List<'f, Value<'f, Tip>>,
     /// Pose of the left camera in the scene. Without it the camera's own movement counts as the tips' movement.
     camera_pose: Option<Value<'f, Pose>>,
-    /// Name of the present phase of the operation.
+    /// Name of the current phase of the operation.
     phase: Option<Text<'f>>,
     /// Table of `proximity`. With it, touches of the tissue are counted.
     proximity: Option<Table<'f>>,
 }
 
-/// Outputs.
+/// Output ports of `skill`.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// One row per tool and phase: number and class of the tool, number of the phase (-1: all phases), then all measures since the start. Times count
-    /// from the tool's first picture.
+    /// from the tool's first frame.
     table: Slot<'f, TableData>,
     /// One row per pair of tools: their numbers, time with both in view, time with both moving, share of the movement made together, correlation of
     /// their speeds.
@@ -49,34 +50,34 @@ pub enum Tools {
     Class,
 }
 
-/// Parameters.
+/// Parameters of `skill`.
 #[derive(Params)]
 pub struct SkillParams {
     /// Which tips belong to one tool.
     #[param(default = "input", reopen)]
     tools: Tools,
-    /// Lowest score of a tip that is used. The score of a predicted tip falls with time.
+    /// Minimum score of a tip that is used. The score of a predicted tip falls with time.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f64,
-    /// Longest gap between two tips that is bridged. After a longer gap the tool was out of view.
+    /// Maximum gap between two tips that is bridged. After a longer gap the tool was out of view.
     #[param(default = 250.0, range = 10.0..=5000.0, step = 10.0, unit = "ms", reopen)]
     max_gap_ms: f64,
-    /// Half the width of the window from which speed is computed.
+    /// Half the width of the window over which speed is computed.
     #[param(default = 80.0, range = 10.0..=1000.0, step = 10.0, unit = "ms", reopen)]
     window_ms: f64,
     /// Speed below which a tool counts as resting.
     #[param(default = 3.0, range = 0.1..=50.0, step = 0.1, unit = "mm/s", reopen)]
     rest_mm_s: f64,
-    /// Shortest rest that counts as idle time.
+    /// Minimum duration of a rest that counts as idle time.
     #[param(default = 300.0, range = 10.0..=10000.0, step = 10.0, unit = "ms", reopen)]
     rest_ms: f64,
-    /// Distance of the knots of the spline that jerk is computed from.
+    /// Distance between the knots of the spline from which jerk is computed.
     #[param(default = 100.0, range = 20.0..=1000.0, step = 10.0, unit = "ms", reopen)]
     knot_ms: f64,
     /// Distance to the tissue below which a tip counts as touching it.
     #[param(default = 1.5, range = -5.0..=20.0, step = 0.1, unit = "mm", reopen)]
     touch_mm: f64,
-    /// Shortest touch that counts.
+    /// Minimum duration of a touch.
     #[param(default = 200.0, range = 0.0..=10000.0, step = 10.0, unit = "ms", reopen)]
     touch_ms: f64,
 }
@@ -99,7 +100,7 @@ pub const PAIRS: [&str; 6] = ["a", "b", "seen_s", "both_s", "overlap", "correlat
 /// Maximum number of poses of the camera that are stored for late tips.
 const MAX_POSES: usize = 64;
 
-/// See the module.
+/// The `skill` node.
 pub struct Skill {
     session: Session,
     poses: VecDeque<(i64, Isometry3<f64>)>,
@@ -131,12 +132,12 @@ fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
     all.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::new(tx, ty, tz), turn))
 }
 
-/// Distance to the tissue of a tip with a number, by the table of `proximity`, mm; NaN where it is unknown.
+/// Distance to the tissue of the tip with this number, from the table of `proximity`, mm; NaN if it is unknown.
 fn tissue_mm(table: &Table<'_>, track_id: i64) -> Result<f64> {
     let column = |name: &str| {
         let place = table.names().position(|n| n == name);
         place.ok_or_else(|| {
-            error!("the table at `proximity` has no column `{name}`: wire the table of a `proximity` node")
+            error!("the table at `proximity` has no column `{name}`: connect the table of a `proximity` node")
         })
     };
     let (id, tissue) = (column("track_id")?, column("tissue_mm")?);
@@ -163,7 +164,7 @@ impl Skill {
 }
 
 impl Skill {
-    /// Adds what a tip shows to the session of its tool.
+    /// Adds a tip to the session of its tool.
     fn observe(
         &mut self,
         cx: &Context<'_>,
@@ -179,7 +180,7 @@ impl Skill {
         };
         let Some(tool) = self.session.tool(key, String::new) else {
             if !std::mem::replace(&mut self.refused, true) {
-                cx.warn("there are more tools than 16: the last ones are not measured; `tools = \"class\"` has fewer");
+                cx.warn("more than 16 tools: the last ones are not measured; set `tools = \"class\"` to have fewer");
             }
             return Ok(());
         };
@@ -202,7 +203,7 @@ impl Skill {
         Ok(())
     }
 
-    /// Fills the rows with the figures of each tool, in all and in each phase.
+    /// Fills the rows with the measures of each tool, in all and in each phase.
     fn set_tool_rows(&mut self) {
         self.rows.clear();
         for (tool, class) in self.session.tools().zip(&self.classes) {
@@ -218,7 +219,7 @@ impl Skill {
         }
     }
 
-    /// Fills the rows with the figures of each pair of tools.
+    /// Fills the rows with the measures of each pair of tools.
     fn set_pair_rows(&mut self) {
         self.rows.clear();
         let keys = |number: usize| self.session.tools().nth(number).map_or(f64::NAN, |tool| tool.key as f64);
@@ -255,7 +256,9 @@ impl Node for Skill {
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &SkillParams) -> Result<()> {
         let now_ns = cx.tick().capture_ns;
         let room_from_camera = match &input.camera_pose {
-            Some(pose) => pose_of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
+            Some(pose) => pose_of(pose).ok_or_else(|| {
+                error!("the camera pose is not valid: its numbers are not finite, or its quaternion is 0")
+            })?,
             None => Isometry3::identity(),
         };
         if self.poses.len() == MAX_POSES {

@@ -10,26 +10,26 @@ use crate::second_view::SecondView;
 use crate::shaft::{End, Mask, TipFinder};
 use crate::silhouette::{Nearness, Silhouette};
 
-/// Fewest depth values around the tip for a position in space.
+/// Minimum number of depth values around the tip for a position in space.
 const MIN_VALUES: usize = 6;
 
-/// Largest multiple of the radius within which a mask's own depth is searched.
+/// Maximum multiple of the radius within which a mask's own depth is searched.
 const WIDER: usize = 8;
 /// Range of depths in which an end is searched in the other view, mm.
 const REACH_MM: (f64, f64) = (20.0, 250.0);
-/// Largest difference of depth between two jaws of one instrument, mm.
+/// Maximum difference of depth between two jaws of one instrument, mm.
 const JAWS_MM: f64 = 10.0;
-/// Largest distance of the ends of open jaws from their middle, mm, and time for which it is stored while one jaw hides the other, ns.
+/// Maximum distance of the ends of open jaws from their middle, mm, and time for which it is stored while one jaw hides the other, ns.
 const MAX_HALF_MM: f64 = 12.0;
 const HALF_NS: i64 = 2_000_000_000;
-/// Time in which the stored opening halves while the jaws are seen nearer together, ns.
+/// Time in which the stored opening halves while the jaws are seen closer together, ns.
 const HALF_FADES_NS: f64 = 0.7e9;
-/// Largest age of the last tip that decides which jaw is in view, ns.
+/// Maximum age of the last tip that decides which jaw is in view, ns.
 const LAST_NS: i64 = 200_000_000;
 
-/// Depth or disparity of the left view.
+/// Depth and disparity of the left view.
 pub struct Space<'a> {
-    /// Depth, mm; used where both are known.
+    /// Depth, mm; takes precedence if both are known.
     pub depth: Option<View<'a, f32>>,
     /// Disparity, px.
     pub disparity: Option<View<'a, f32>>,
@@ -63,7 +63,7 @@ impl Nearness for Space<'_> {
     }
 }
 
-/// A tool whose position is searched, and what is known of the pixels around it.
+/// A tool whose position is searched, and the data around it.
 pub struct Scene<'a> {
     /// Depth of the left view.
     pub space: &'a Space<'a>,
@@ -73,13 +73,13 @@ pub struct Scene<'a> {
     pub projection: &'a [f64; 12],
     /// Masks of all tools, of the size of the depth.
     pub masks: Option<Instances<'a>>,
-    /// The tool's position among the masks.
+    /// Index of the tool among the masks.
     pub item: usize,
     /// Number of tools.
     pub items: usize,
-    /// The silhouette that gave the tip.
+    /// The silhouette from which the tip was found.
     pub cut: Option<&'a Silhouette>,
-    /// Left and right picture, to find the depth of ends of the silhouette.
+    /// Left and right image, to find the depth of ends of the silhouette.
     pub views: Option<(&'a View<'a, u8>, &'a View<'a, u8>)>,
     /// Radius within which depth is read, px.
     pub radius_px: usize,
@@ -100,7 +100,7 @@ impl Scene<'_> {
         self.masks.as_ref().is_some_and(|m| Mask::new(m.mask(item), self.size.0, self.size.1).contains(x, y))
     }
 
-    /// Depth at a pixel, mm. Where the tool's pixels are known, other surfaces are ignored.
+    /// Depth at a pixel, mm. If the tool's pixels are known, other surfaces are ignored.
     fn own_depth(&self, x: usize, y: usize) -> f32 {
         let is_own = match self.masks {
             Some(_) => self.covers(self.item, x, y),
@@ -119,17 +119,17 @@ impl Scene<'_> {
     }
 }
 
-/// Where a tip is.
+/// Result of the search for a tip.
 pub enum Position {
-    /// Another instrument hides the whole end of the tool.
+    /// Another instrument hides the complete end of the tool.
     Hidden,
-    /// In the picture and in space; NaN where unknown.
+    /// Position in the image and in space; NaN where unknown.
     At {
         /// Column and row, px.
         pixel: (f64, f64),
         /// Position in the left camera's frame, mm.
         xyz_mm: [f64; 3],
-        /// Whether all of it is known.
+        /// Whether all values are known.
         is_valid: bool,
     },
 }
@@ -143,17 +143,17 @@ pub struct TipPosition {
     half: Option<(f64, i64)>,
     /// Jaws of which another instrument hides one.
     hidden: HiddenJaw,
-    /// Depth of the last tip, mm, and its capture time, ns.
+    /// Position of the last tip, mm, and its capture time, ns.
     last: Option<([f64; 3], i64)>,
 }
 
-/// The point that a lens shows at a pixel, at depth `z`, mm.
+/// The point in space at a pixel and depth `z`, mm.
 fn point(lens: &Lens, (u, v): (f64, f64), z: f64) -> [f64; 3] {
     [(u - lens.centre_px[0]) / lens.focal_px[0] * z, (v - lens.centre_px[1]) / lens.focal_px[1] * z, z]
 }
 
 impl TipPosition {
-    /// The position of a tip with these ends, one or two. `finder` was given the tool's mask last.
+    /// Position of a tip with one or two ends. `finder` must have been given the tool's mask last.
     pub fn find(&mut self, scene: &Scene<'_>, tip: &End, ends: &[End], finder: &mut TipFinder) -> Position {
         let lens = scene.lens();
         let depths = self.depths(scene, ends);
@@ -236,7 +236,7 @@ impl TipPosition {
         depths
     }
 
-    /// Stores how far open jaws stand that both views show.
+    /// Stores the opening of jaws whose ends are both visible in both views.
     fn remember_opening(&mut self, scene: &Scene<'_>, lens: &Lens, ends: &[End], depths: [Option<f64>; 2]) {
         let ([Some(one), Some(two)], [a, b], Some(_)) = (depths, ends, scene.views) else { return };
         let at = |end: &End, z: f64| point(lens, (end.u_px, end.v_px), z);
@@ -248,8 +248,8 @@ impl TipPosition {
         self.half = Some(((apart / 2.0).max(faded), scene.now_ns)).filter(|(half, _)| *half <= MAX_HALF_MM);
     }
 
-    /// Depth of the middle of open jaws of which one end is seen at `z_mm`, mm. Jaws that open along the viewing direction hide each other, and the
-    /// tip would jump to the nearer one. Returns the depth nearer to the last tip's.
+    /// Depth of the middle of open jaws of which one end is visible at `z_mm`, mm. Jaws that open along the viewing direction hide each other, and
+    /// the tip would jump to the nearer one. Returns the depth nearer to the last tip's.
     fn middle_mm(&self, z_mm: f64, now_ns: i64) -> f64 {
         let is_recent = |at_ns: i64, max_ns: i64| (0..=max_ns).contains(&now_ns.saturating_sub(at_ns));
         let half = self.half.filter(|(_, at_ns)| is_recent(*at_ns, HALF_NS));

@@ -10,13 +10,13 @@ use panoscope_tracking::kalman::Model;
 use panoscope_tracking::real_time::RealTime;
 use panoscope_tracking::tracker::{Known, Report, Rules, Tracker, UNKNOWN_CLASS};
 
-/// Inputs.
+/// Input ports of `tip_track`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their pictures. Wire a detector that is slower than the
-    /// camera with `align = "latest"`: each of its tips is used once, with the age of its picture.
+    /// Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their images. Wire a detector that is slower than the
+    /// camera with `align = "latest"`: each of its tips is used once, with the age of its image.
     tip: List<'f, Value<'f, Tip>>,
-    /// Tips that another tool covers: the output `hidden` of `tool_tip`. A leading tool whose tip is covered keeps the lead for up to 5 s.
+    /// Tips that another tool hides: the output `hidden` of `tool_tip`. A leading tool whose tip is hidden keeps the lead for up to 5 s.
     hidden: Option<List<'f, Value<'f, Tip>>>,
     /// Pose of the left camera in the scene. Without it the camera's own movement counts as the tip's movement.
     camera_pose: Option<Value<'f, Pose>>,
@@ -24,36 +24,36 @@ pub struct In<'f> {
     calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Outputs.
+/// Output ports of `tip_track`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. A tip of unknown class
-    /// gets the class that its tool had most often. Empty when lost.
+    /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. A tip of unknown
+    /// class gets the class that its tool had most often. Empty when lost.
     tip: Slot<'f, Tip>,
     /// One row per tick while the tip is known: position in the camera's frame and in the scene (mm), velocity (mm/s), standard deviation (mm), time
     /// since it was seen (ms), score, number of the tool.
     table: Slot<'f, TableData>,
 }
 
-/// Parameters.
+/// Parameters of `tip_track`.
 #[derive(Params)]
 pub struct TrackParams {
     /// Standard deviation of a tool's unknown acceleration, mm/s^2. Higher values follow faster and are less smooth.
     #[param(default = 200.0, range = 1.0..=5000.0, step = 1.0)]
     acceleration: f64,
-    /// Squared Mahalanobis distance above which a detection is not of this tip; 16.3 accepts 99.9 % of the true ones.
+    /// Squared Mahalanobis distance above which a detection does not belong to this tip; 16.3 accepts 99.9 % of the true ones.
     #[param(default = 16.3, range = 1.0..=200.0, step = 0.1)]
     gate: f64,
-    /// Standard deviation of a tip's position in the picture.
+    /// Standard deviation of a tip's position in the image.
     #[param(default = 1.0, range = 0.05..=20.0, step = 0.05, unit = "px")]
     lateral_px: f64,
     /// Standard deviation of a tip's disparity.
     #[param(default = 0.5, range = 0.05..=20.0, step = 0.05, unit = "px")]
     disparity_px: f64,
-    /// Lowest score of a tip that is used.
+    /// Minimum score of a tip that is used.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f64,
-    /// Longest prediction of an unseen tip; after it the tip is lost.
+    /// Maximum duration of a prediction without a detection; after it the tip is lost.
     #[param(default = 300.0, range = 0.0..=2000.0, step = 10.0, unit = "ms")]
     max_gap_ms: f64,
     /// Time for which only other tools must be seen before one of them leads.
@@ -86,7 +86,7 @@ const MAX_POSES: usize = 64;
 /// Tracks the leading tip.
 pub struct TipTrack {
     tracker: Tracker,
-    /// The last tip that was seen, and when, ns of real time.
+    /// The last detected tip, and its capture time, ns.
     last: Option<(Tip, i64)>,
     had_pose: bool,
     /// Poses of the camera in the last ticks, with their capture times, ns.
@@ -104,7 +104,7 @@ fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
     all.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::new(tx, ty, tz), turn))
 }
 
-/// What the tracker is to do, and the projection of the left view where a calibration is connected.
+/// Settings of the tracker, and the projection of the left view if a calibration is connected.
 fn rules_of(params: &TrackParams, calibration: Option<&Calibration>) -> Result<(Rules, Option<[f64; 12]>)> {
     let mut rules = Rules {
         model: Model { acceleration_mm_s2: params.acceleration, gate: params.gate },
@@ -129,7 +129,7 @@ fn rules_of(params: &TrackParams, calibration: Option<&Calibration>) -> Result<(
 }
 
 impl TipTrack {
-    /// Stores the pose of the camera at a tick, and forgets what a new frame of reference or a step back in time makes invalid.
+    /// Stores the camera's pose at a tick, and drops what a new frame of reference or a step back in time makes invalid.
     fn begin_tick(&mut self, now_ns: i64, pose: Option<Isometry3<f64>>, detectors: usize) {
         if pose.is_some() != self.had_pose {
             // The frame has changed, so positions of the filter are invalid.
@@ -146,6 +146,53 @@ impl TipTrack {
         }
         self.poses.push_back((now_ns, pose.unwrap_or_default()));
         self.used_ns.resize(detectors, i64::MIN);
+    }
+
+    /// Writes the outputs for the tracked tip. `lens`: projection of the left view, for the tip's pixel.
+    fn write(
+        &mut self,
+        cx: &Context<'_>,
+        out: &mut Out<'_>,
+        real_ns: i64,
+        room_from_camera: &Isometry3<f64>,
+        (rules, lens): (&Rules, Option<[f64; 12]>),
+    ) -> Result<()> {
+        // Counts from the image in which it was last seen: tips of a slow detector are old when they arrive.
+        let gap_s = self.last.map_or(0.0, |(_, seen_ns)| real_ns.saturating_sub(seen_ns) as f64 * 1e-9);
+        let fade = if gap_s > 0.0 { (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0) } else { 1.0 };
+        let (Some((room, speed)), Some((mut tip, _))) = (self.tracker.state(), self.last) else { return Ok(()) };
+        let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
+        tip.xyz_mm = [at.x, at.y, at.z];
+        tip.score *= fade;
+        // A tool that was named before keeps its name while its kind is not sure.
+        if tip.class_index == UNKNOWN_CLASS {
+            tip.class_index = self.tracker.class_index();
+        }
+        if let Some(p) = lens.filter(|_| at.z > 0.0) {
+            (tip.u_px, tip.v_px) = (p[0] * at.x / at.z + p[2], p[5] * at.y / at.z + p[6]);
+        }
+        cx.metric("gap_ms", gap_s * 1e3);
+        if gap_s > 0.0 {
+            // What is predicted is as old as the image in which the tip was last seen.
+            cx.set_lag(Duration::from_secs_f64(gap_s));
+        }
+        out.tip.set(tip)?;
+        let row: [f64; COLUMNS.len()] = [
+            at.x,
+            at.y,
+            at.z,
+            room.x,
+            room.y,
+            room.z,
+            speed.x,
+            speed.y,
+            speed.z,
+            self.tracker.deviation_mm(),
+            gap_s * 1e3,
+            tip.score,
+            self.tracker.track_id() as f64,
+        ];
+        out.table.set_table(&COLUMNS, &row)
     }
 }
 
@@ -173,7 +220,7 @@ impl Node for TipTrack {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
         let (rules, lens) = rules_of(params, input.calibration.as_deref())?;
-        let no_pose = || error!("the camera pose holds numbers that are no pose");
+        let no_pose = || error!("the camera pose is not valid: its numbers are not finite, or its quaternion is 0");
         let pose = input.camera_pose.as_ref().map(|pose| pose_of(pose).ok_or_else(no_pose)).transpose()?;
         let room_from_camera = pose.unwrap_or_default();
         let now_ns = cx.tick().capture_ns;
@@ -230,41 +277,6 @@ impl Node for TipTrack {
             self.last =
                 index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, real_ns.saturating_sub(age_ns(&tip))));
         }
-        // Counts from the picture in which it was last seen: tips of a slow detector are old when they arrive.
-        let gap_s = self.last.map_or(0.0, |(_, seen_ns)| real_ns.saturating_sub(seen_ns) as f64 * 1e-9);
-        let fade = if gap_s > 0.0 { (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0) } else { 1.0 };
-        let (Some((room, speed)), Some((mut tip, _))) = (self.tracker.state(), self.last) else { return Ok(()) };
-        let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
-        tip.xyz_mm = [at.x, at.y, at.z];
-        tip.score *= fade;
-        // A tool that was named before keeps its name while its kind is not sure.
-        if tip.class_index == UNKNOWN_CLASS {
-            tip.class_index = self.tracker.class_index();
-        }
-        if let Some(p) = lens.filter(|_| at.z > 0.0) {
-            (tip.u_px, tip.v_px) = (p[0] * at.x / at.z + p[2], p[5] * at.y / at.z + p[6]);
-        }
-        cx.metric("gap_ms", gap_s * 1e3);
-        if gap_s > 0.0 {
-            // What is predicted is as old as the picture in which the tip was last seen.
-            cx.set_lag(Duration::from_secs_f64(gap_s));
-        }
-        out.tip.set(tip)?;
-        let row: [f64; COLUMNS.len()] = [
-            at.x,
-            at.y,
-            at.z,
-            room.x,
-            room.y,
-            room.z,
-            speed.x,
-            speed.y,
-            speed.z,
-            self.tracker.deviation_mm(),
-            gap_s * 1e3,
-            tip.score,
-            self.tracker.track_id() as f64,
-        ];
-        out.table.set_table(&COLUMNS, &row)
+        self.write(cx, &mut out, real_ns, &room_from_camera, (&rules, lens))
     }
 }

@@ -1,4 +1,4 @@
-//! `tool_tip`: the leading tool's tip, in the picture and, where depth is known, in space (thesis, chapter 6).
+//! `tool_tip`: the leading tool's tip, in the image and, if depth is known, in space (thesis, chapter 6).
 
 use std::collections::VecDeque;
 
@@ -17,57 +17,58 @@ use crate::silhouette::{Cues, Nearness, Silhouette};
 use crate::tip_position::{Position, Scene, Space, TipPosition};
 use crate::yolo::UNKNOWN;
 
-/// Inputs.
+/// Input ports of `tool_tip`.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Boxes of tools in the left rectified view. Boxes of a detector that is slower than the camera (wired with `align = "latest"`) are moved along
-    /// with the tip, and the tool is segmented in the picture of this tick: a tip is as new as `image`, not as its box.
+    /// with the tip, and the tool is segmented in the image of this tick: a tip is as new as `image`, not as its box.
     detections: Option<Detections<'f>>,
     /// Tools with masks; used instead of boxes.
     instances: Option<Instances<'f>>,
-    /// The picture in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both
-    /// the tip is the end of the box, wrong by up to half the box's width.
+    /// Image in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the
+    /// tip is the end of the box, wrong by up to half the box's width.
     image: Option<AnyImage<'f>>,
     /// Right rectified view of the same tick, bgr8. With it the depth of a segmented tool end is found by comparing both views. Tool ends are often
     /// thinner than a matcher's window, which returns the depth of the tissue there.
     right: Option<AnyImage<'f>>,
     /// Depth of the left rectified view, mm, for the position in space.
     depth: Option<Image<'f, Depth>>,
-    /// Disparity of the left rectified view, px, used where no depth is connected. Connect the matcher's map: filters fill unmatched pixels and so
-    /// mix a thin tool end with the tissue behind it.
+    /// Disparity of the left rectified view, px, used if no depth is connected. Connect the matcher's map: filters fill unmatched pixels and so mix a
+    /// thin tool end with the tissue behind it.
     disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the rectified views, for the position in space.
     calibration: Option<Value<'f, Calibration>>,
 }
 
-/// Outputs.
+/// Output ports of `tool_tip`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Tip of the leading tool; between open jaws the middle of both ends. Where masks and depth show that another tool hides one of two jaws, the tip is
-    /// found from the other jaw and the shaft's axis, for 10 s after both were seen. Empty when no tool is found, or when another tool hides its whole end.
+    /// Tip of the leading tool; between open jaws the middle of both ends. Where masks and depth show that another tool hides one of two jaws, the
+    /// tip is computed from the other jaw and the shaft's axis, for 10 s after both were seen. Empty when no tool is found, or when another tool
+    /// hides its complete end.
     tip: Slot<'f, Tip>,
-    /// Where the leading tool seems to end while another tool hides its whole end: px, without a position in space. Empty otherwise. `tip_track` keeps
-    /// following a tool that is reported here.
+    /// Apparent end of the leading tool while another tool hides its complete end: px, without a position in space. Otherwise empty. `tip_track`
+    /// keeps following a tool that is reported here.
     hidden: Slot<'f, Tip>,
 }
 
-/// Parameters.
+/// Parameters of `tool_tip`.
 #[derive(Params)]
 pub struct ToolTipParams {
     /// Name of the class to follow; empty takes any.
     #[param(default = "")]
     class: String,
-    /// Lowest score of a tool. Without a given class, the scores of overlapping boxes of several classes are added.
+    /// Minimum score of a tool. Without a given class, the scores of overlapping boxes of several classes are added.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
-    /// Lowest score of a box that overlaps the previous box of the leading tool: a weak box at the position of a certain tool is that tool (after Zhang
-    /// et al. 2022, ByteTrack).
+    /// Minimum score of a box that overlaps the previous box of the leading tool: a weak box at the position of a certain tool is that tool (after
+    /// Zhang et al. 2022, ByteTrack).
     #[param(default = 0.1, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     keep_score: f32,
     /// Radius around the tip within which depth is read.
     #[param(default = 6, range = 1..=64, unit = "px")]
     radius_px: usize,
-    /// Age up to which a box is used, and time for which the last box is used while the detector finds none.
+    /// Maximum age of a box that is used, and time for which the last box is used while the detector finds none.
     #[param(default = 300.0, range = 0.0..=1000.0, step = 10.0, unit = "ms")]
     max_age_ms: f64,
 }
@@ -99,7 +100,7 @@ struct Leading {
 /// The last box of the leading tool.
 struct LastBox {
     item: Detection,
-    /// Capture time of the picture in which it was found, ns.
+    /// Capture time of the image in which it was found, ns.
     found_ns: i64,
     /// Score of the tool, and when it was found, ns.
     score: f32,
@@ -107,25 +108,25 @@ struct LastBox {
 }
 
 impl LastBox {
-    /// Score of the tool now.
+    /// Score of the tool at `now_ns`.
     fn score_at(&self, now_ns: i64) -> f32 {
         self.score * 0.5_f32.powf(now_ns.saturating_sub(self.scored_ns).max(0) as f32 * 1e-9 / HALF_S)
     }
 }
 
-/// Time in which the score of a tool that is found in weak boxes only halves, s.
+/// Time in which the score of a tool that is found only in weak boxes halves, s.
 const HALF_S: f32 = 0.5;
-/// Overlap from which boxes of different classes count as one tool.
+/// Minimum overlap of boxes of different classes that count as one tool.
 const SAME_TOOL_IOU: f32 = 0.5;
-/// Overlap from which a box counts as the last leading box's tool.
+/// Minimum overlap of a box with the last leading box to count as the same tool.
 const STILL_IOU: f32 = 0.35;
-/// Shares of the picture's width: a tip nearer to the border than the first is where a tool leaves the picture; a box at the border thinner than the
+/// Shares of the image's width: a tip nearer to the border than the first is where a tool leaves the image; a box at the border thinner than the
 /// second shows a shaft that crosses it.
 const BORDER_SHARE: f64 = 0.01;
 const STRIP_SHARE: f32 = 0.06;
-/// Maximum number of boxes that are tried until one has its tip in the picture.
+/// Maximum number of boxes that are tried until one has its tip in the image.
 const MAX_TRIES: usize = 4;
-/// Ticks within which the leading tool may return with another number.
+/// Maximum number of ticks within which the leading tool may return with another number.
 const MEMORY_TICKS: u32 = 15;
 
 fn corners_of(d: &Detection) -> [f32; 4] {
@@ -137,12 +138,12 @@ fn moved([x0, y0, x1, y1]: [f32; 4], [dx, dy]: [f32; 2]) -> [f32; 4] {
 }
 
 impl Leading {
-    /// The same tool, not seen for one tick more.
+    /// The same tool, missed for one more tick.
     fn missed_again(self) -> Self {
         Self { missed: self.missed + 1, ..self }
     }
 
-    /// Score that a box is this tool: it has the tool's number, or is where the tool was and was not another tool then. Detectors that change a
+    /// Score that a box is this tool: it has the tool's number, or is at the tool's position and was not another tool then. Detectors that change a
     /// tool's class give it a new number each time.
     fn claims(&self, item: &Detection) -> u8 {
         if item.track_id >= 0 && item.track_id == self.number {
@@ -171,13 +172,13 @@ fn sureness(item: &Detection, items: &[Detection]) -> f32 {
     sum.min(1.0)
 }
 
-/// Number of tips stored for late boxes.
+/// Maximum number of tips stored for late boxes.
 const MAX_OBSERVATIONS: usize = 16;
-/// The tools that a detector found in a picture.
+/// The tools that a detector found in an image.
 struct Tools<'a, 'f> {
     found: &'a Detections<'f>,
     masks: Option<Instances<'f>>,
-    /// Columns and rows of the picture.
+    /// Columns and rows of the image.
     size: (usize, usize),
     /// Name of the class to follow; empty for any.
     class: &'a str,
@@ -188,12 +189,12 @@ impl<'f> Tools<'_, 'f> {
         self.found.items()
     }
 
-    /// The pixels of an input, which must be of the size of the picture; `what` says what to wire.
+    /// The pixels of an input, which must have the size of the image; `what` says what to wire.
     fn view(&self, input: &str, image: Option<AnyImage<'f>>, what: &str) -> Result<Option<View<'f, u8>>> {
         let view = image.and_then(|image| image.as_plane::<Bgr8>()).map(|image| image.view());
         match &view {
             Some(view) if (view.width, view.height) != self.size => Err(error!(
-                "`{input}` is {}x{}, tools were found in a picture of {}x{}: wire {what}",
+                "`{input}` is {}x{}, but tools were found in an image of {}x{}: connect {what}",
                 view.width, view.height, self.size.0, self.size.1
             )),
             _ => Ok(view),
@@ -216,14 +217,14 @@ impl<'f> Tools<'_, 'f> {
         self.masks.as_ref().map(|masks| Mask::new(masks.mask(item), self.size.0, self.size.1))
     }
 
-    /// Whether a tip is away from the border of the picture, where tools only leave it.
+    /// Whether a tip is away from the border of the image; at the border tools only leave it.
     fn is_inside(&self, tip: &End) -> bool {
         let (width, height) = (self.size.0 as f64, self.size.1 as f64);
         let (x, y) = (tip.u_px.min(width - 1.0 - tip.u_px), tip.v_px.min(height - 1.0 - tip.v_px));
         x.min(y) >= BORDER_SHARE * width
     }
 
-    /// Whether a box is a thin strip along the border of the picture: a shaft that crosses it.
+    /// Whether a box is a thin strip along the border of the image: a shaft that crosses it.
     fn is_strip(&self, item: &Detection) -> bool {
         let [x0, y0, x1, y1] = corners_of(item);
         let (width, height) = (self.size.0 as f32, self.size.1 as f32);
@@ -232,7 +233,7 @@ impl<'f> Tools<'_, 'f> {
     }
 }
 
-/// The time of a call, and how old the boxes are, ns.
+/// The time of a call, and the age of the boxes, ns.
 struct Now<'a> {
     now_ns: i64,
     age_ns: i64,
@@ -241,11 +242,11 @@ struct Now<'a> {
 
 /// The leading tool with its tip.
 struct Candidate {
-    /// Its position among the boxes; `usize::MAX` where the detector misses it.
+    /// Its index among the boxes; `usize::MAX` if the detector misses it.
     index: usize,
     item: Detection,
     tip: TipPixel,
-    /// Whether the silhouette in the picture gave the tip.
+    /// Whether the tip comes from the silhouette in the image.
     is_cut: bool,
 }
 
@@ -261,7 +262,7 @@ fn claim(leading: Option<&Leading>, item: &Detection) -> u8 {
 }
 
 impl ToolTip {
-    /// The first tool whose tip is in the picture: the one that leads, else the one with the highest score.
+    /// The first tool whose tip is in the image: the leading one, else the one with the highest score.
     fn candidate(
         &mut self,
         tools: &Tools<'_, '_>,
@@ -303,7 +304,7 @@ impl ToolTip {
         None
     }
 
-    /// The leading tool at its last box: the detector misses it, but the picture may show it.
+    /// The leading tool at its last box: the detector misses it, but it may be visible in the image.
     fn missed(
         &mut self,
         tools: &Tools<'_, '_>,
@@ -353,7 +354,7 @@ impl ToolTip {
         (called, score)
     }
 
-    /// Movement of the tip since boxes of this age were found, px; 0 where it is unknown.
+    /// Movement of the tip since boxes of this age were found, px; 0 if it is unknown.
     fn shift(&mut self, now_ns: i64, age_ns: i64) -> [f32; 2] {
         if self.observations.back().is_some_and(|(newest_ns, _)| *newest_ns > now_ns) {
             // Time went backwards.
@@ -417,7 +418,7 @@ impl Node for ToolTip {
             return Ok(());
         }
         let tools = Tools { found: &found, masks, size: found.image_size(), class: &params.class };
-        let picture = tools.view("image", input.image, "the picture that was searched")?;
+        let picture = tools.view("image", input.image, "the image that was searched")?;
         let right = tools.view("right", input.right, "the other view of the same pair")?;
         let space = Space {
             depth: input.depth.as_ref().map(|plane| plane.view()),

@@ -1,10 +1,10 @@
-//! Numbers that stay with an object over time: greedy matching by overlap with a constant-velocity guess (after Bewley et al. 2016, SORT).
+//! Numbers that stay with an object over time: greedy matching by overlap with constant-velocity prediction (after Bewley et al. 2016, SORT).
 
 use panoscope_node::abi::Detection;
 
 use crate::candidates::iou;
 
-/// Votes for the class of a track: the sum of scores of each class, of the four strongest ones.
+/// Votes for the class of a track: the sum of scores of each class, for the four strongest ones.
 #[derive(Clone, Copy)]
 struct Votes([(u32, f32); 4]);
 
@@ -15,7 +15,7 @@ impl Votes {
         Self(votes)
     }
 
-    /// Makes all votes weigh `share` times as much as before.
+    /// Multiplies the weight of all votes by `share`.
     fn fade(&mut self, share: f32) {
         self.0.iter_mut().for_each(|(_, weight)| *weight *= share);
     }
@@ -31,7 +31,7 @@ impl Votes {
         }
     }
 
-    /// The class with most votes. `present` stays until another one leads by more than `margin`: two votes for two classes decide nothing.
+    /// The class with most votes. `present` stays until another one leads by more than `margin`, so that two votes for two classes decide nothing.
     fn winner(&self, present: u32, margin: f32) -> u32 {
         let votes_of = |class: u32| self.0.iter().filter(|vote| vote.0 == class).map(|vote| vote.1).fold(0.0, f32::max);
         let best = self.0.iter().fold(self.0[0], |best, vote| if vote.1 > best.1 { *vote } else { best });
@@ -63,15 +63,15 @@ pub struct Tracker {
     last_ns: Option<i64>,
 }
 
-/// Overlap below which a box is another object.
+/// Minimum overlap of a box with a track.
 const MIN_IOU: f32 = 0.2;
-/// The same for a box of another class, where classes are voted: closer, because tools that pass each other overlap too.
+/// The same for a box of another class, if classes are voted: stricter, because tools that pass each other overlap too.
 const MIN_IOU_OF_OTHER_CLASS: f32 = 0.5;
-/// Longest time for which an unseen object keeps its number, ns ...
+/// Maximum time for which an unseen object keeps its number, s ...
 const MEMORY_S: f32 = 0.5;
 /// ... or ticks, for slower detectors.
 const MEMORY_TICKS: u32 = 3;
-/// The velocity of an unseen object falls by this share in each 30th of a second.
+/// Factor by which the velocity of an unseen object decreases in each 30th of a second.
 const FADE: f32 = 0.7;
 
 fn corners_of(d: &Detection) -> [f32; 4] {
@@ -79,11 +79,11 @@ fn corners_of(d: &Detection) -> [f32; 4] {
 }
 
 impl Tracker {
-    /// Assigns numbers to the objects of one tick, whose picture was taken at `capture_ns`. Objects move by the time passed, whatever the number of
+    /// Assigns numbers to the objects of one tick, whose image was captured at `capture_ns`. Objects move by the elapsed time, whatever the number of
     /// ticks.
     ///
-    /// With `vote_s` above 0 a track also follows a box that the detector gives another class, and each item gets the class that has most votes
-    /// on its track, by more than one vote; votes weigh as much as their score, and half as much after `vote_s`. With 0 a box of another class is another object.
+    /// With `vote_s` above 0 a track also follows a box of another class, and each item gets the class that has most votes on its track, by more than
+    /// one vote; votes are weighted by score, and their weight halves after `vote_s`. With 0 a box of another class is another object.
     ///
     /// `unknown` is the class of boxes whose kind the detector does not know: such a box may be any object, and votes for no class.
     pub fn follow(&mut self, items: &mut [Detection], capture_ns: i64, vote_s: f32, unknown: Option<u32>) {
@@ -173,7 +173,7 @@ mod tests {
         items.iter().map(|i| i.track_id).collect()
     }
 
-    /// 150 px/s: 5 px from one tick to the next at 30 Hz. Ticks are lost on the way, as in a live graph.
+    /// 150 px/s: 5 px from one tick to the next at 30 Hz. Some ticks are dropped, as in a live graph.
     #[test]
     fn a_moving_object_keeps_its_number_over_dropped_ticks() {
         let mut tracker = Tracker::default();
@@ -213,7 +213,7 @@ mod tests {
         assert_eq!(step(&mut tracker, 0, &[50.0]), [1]);
     }
 
-    /// Class and number of one box a tick, 30 a second, whose class the detector gives as `classes`; votes halve in a second.
+    /// Class and number of one box per tick at 30 Hz, whose class the detector gives as `classes`; votes halve in a second.
     fn voted(tracker: &mut Tracker, first_tick: i64, classes: &[u32], vote_s: f32) -> Vec<(u32, i64)> {
         let one = |(tick, class_index): (usize, &u32)| {
             let tick = first_tick + tick as i64;

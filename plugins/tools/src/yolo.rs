@@ -1,4 +1,4 @@
-//! `yolo`: a detector of any of the families that people export, on the newest picture (thesis, chapter 5).
+//! `yolo`: a detector of any common family, on the newest image (thesis, chapter 5).
 
 use std::path::PathBuf;
 
@@ -22,27 +22,28 @@ use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
 use crate::track::Tracker;
 
-/// Inputs.
+/// Input ports of `yolo`.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture to search, bgr8 or gray8.
+    /// Image to search, bgr8 or gray8.
     image: AnyImage<'f>,
-    /// What of the picture is lit, not 0. Boxes that lie outside by more than half are dropped; without it all is lit.
+    /// Nonzero where the image is illuminated. Boxes that are more than half outside are dropped. Unconnected: the whole image.
     mask: Option<Image<'f, Mask>>,
 }
 
-/// Outputs.
+/// Output ports of `yolo`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Boxes in px of the picture, highest score first, with their labels. Where the model carries a calibration, scores are probabilities, and the
-    /// last label is `unknown`: an instrument whose kind is not sure.
+    /// Boxes in px of the image, highest score first, with their labels. If the model has a calibration, scores are probabilities, and the last label
+    /// is `unknown`: an instrument of uncertain kind.
     detections: Slot<'f, LabeledDetections>,
-    /// How unlike the pictures that the model learned from the last ones are, smoothed, as a share of the model's limit: from 1 on it knows little of
-    /// such pictures. Empty where the model carries no statistics of pictures. Metric `unlike` is 1 while it is above.
+    /// How unlike the model's training images the last images are, smoothed, as a share of the model's limit. From 1 on the model is unreliable for
+    /// such images. Empty if the model has no image statistics. Metric `unlike` is 1 while it is above.
     unlikeness: Slot<'f, Scalar>,
-    /// What a screen says while the images are too unlike those that the model learned from; else empty text.
+    /// Message for a screen while the images are too unlike the training images; otherwise empty text.
     text: Slot<'f, TextPacket>,
-    /// First keypoint of the box with the highest score, in px, without a position in space. Empty where the model gives no keypoints or finds nothing.
+    /// First keypoint of the box with the highest score, in px, without a position in space. Empty if the model outputs no keypoints or finds
+    /// nothing.
     tip0: Slot<'f, Tip>,
     /// Second keypoint of that box.
     tip1: Slot<'f, Tip>,
@@ -50,8 +51,8 @@ pub struct Out<'f> {
     tip2: Slot<'f, Tip>,
     /// Fourth keypoint of that box.
     tip3: Slot<'f, Tip>,
-    /// All keypoints of all boxes: a row each, with the number of its box in `detections`, its own number, its position in px and its score. Empty where
-    /// the model gives no keypoints.
+    /// All keypoints of all boxes, one per row: index of its box in `detections`, index of the keypoint, position in px, score. Empty if the model
+    /// outputs no keypoints.
     keypoints: Slot<'f, TableData>,
 }
 
@@ -59,16 +60,16 @@ pub struct Out<'f> {
 #[derive(Choice, Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum Layout {
-    /// Told from shapes and metadata.
+    /// Recognised from shapes and metadata.
     #[default]
     Auto,
     /// YOLOX as its tools export it: boxes relative to the grid.
     Yolox,
     /// YOLOX with boxes decoded inside.
     YoloxDecoded,
-    /// YOLOv5 and v7: three anchors a cell.
+    /// YOLOv5 and v7: three anchors per cell.
     Yolov5,
-    /// YOLOv8 and later, without non-maximum suppression inside; the model's metadata say whether it gives keypoints.
+    /// YOLOv8 and later, without non-maximum suppression inside; the metadata state whether it outputs keypoints.
     Yolov8,
     /// Corners, score, class: YOLOv10, YOLO26.
     EndToEnd,
@@ -77,7 +78,7 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// The kind that was named, if one was. `keypoints`: numbers of the keypoints of a box.
+    /// The named kind of export, if it is not `auto`. `keypoints`: number of keypoint values per box.
     pub(crate) fn kind(self, keypoints: usize) -> Option<ExportKind> {
         match self {
             Self::Auto => None,
@@ -91,7 +92,7 @@ impl Layout {
     }
 }
 
-/// Parameters.
+/// Parameters of `yolo`.
 #[derive(Params)]
 pub struct YoloParams {
     /// ONNX file of the network.
@@ -100,28 +101,28 @@ pub struct YoloParams {
     /// Family of the export.
     #[param(default = "auto", reopen)]
     layout: Layout,
-    /// Lowest score of a box.
+    /// Minimum score of a box.
     #[param(default = 0.3, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
-    /// Turns scores into the probability that a box and its class are right, where the model carries a calibration. Off: scores as the network gives
+    /// Converts scores to the probability that a box and its class are correct, if the model has a calibration. Off: scores as the network outputs
     /// them, and no `unknown`.
     #[param(default = true)]
     calibrated: bool,
-    /// Least probability of a box's class, given that the box is on an instrument. Below it the class is reported as `unknown`, with the probability of
-    /// any instrument as score. 0 always names the likeliest class. Takes effect where the model's calibration includes objectness.
+    /// Minimum probability of a box's class, given that the box is on an instrument. Below it the class is reported as `unknown`, with the
+    /// probability of any instrument as score. 0 always names the most probable class. Takes effect if the model's calibration includes objectness.
     #[param(default = 0.5, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     unknown_below: f32,
-    /// Uses the lowest probability of each class that the model carries, at which the share of right boxes was as large as asked for at its export,
-    /// where it is above `min_score`.
+    /// Applies the minimum probability of each class that the model contains, at which the share of correct boxes was as large as requested at its
+    /// export, if it is above `min_score`.
     #[param(default = false)]
     class_limits: bool,
     /// Overlap (intersection over union) above which the box with the lower score is dropped.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
-    /// Boxes of different classes suppress each other too.
+    /// Boxes of different classes also suppress each other.
     #[param(default = false)]
     class_agnostic: bool,
-    /// Largest number of boxes in the output.
+    /// Maximum number of boxes in the output.
     #[param(default = 50, range = 1..=1000)]
     max_boxes: usize,
     /// File with the names of the classes, one per line. Empty: the names in the model file.
@@ -136,11 +137,11 @@ pub struct YoloParams {
     /// Gives each tool a number (`track_id`) that it keeps over time.
     #[param(default = true)]
     track: bool,
-    /// Gives a tracked tool the class that it had most often: votes weigh as much as their score, and half as much after this time. 0: each picture's
-    /// own class. Best with boxes of one class per tool (`class_agnostic`).
+    /// Gives a tracked tool the class that it had most often: votes are weighted by score, and their weight halves after this time. 0: the class in
+    /// each image. Best with boxes of one class per tool (`class_agnostic`).
     #[param(default = 0.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     vote_s: f32,
-    /// Time over which the deviation of the pictures from those learned from is smoothed.
+    /// Time constant of the smoothing of `unlikeness`.
     #[param(default = 2.0, range = 0.0..=60.0, step = 0.1, unit = "s")]
     unlike_s: f32,
     /// What happens to the boxes while `unlikeness` is 1 or more.
@@ -149,13 +150,13 @@ pub struct YoloParams {
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
-    /// What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the
-    /// processor does, with a warning.
+    /// Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is
+    /// used, with a warning.
     #[param(default = "cpu", reopen)]
     provider: Provider,
 }
 
-/// Label of an instrument whose kind is not sure.
+/// Label of an instrument of uncertain kind.
 pub const UNKNOWN: &str = "unknown";
 
 /// What detectors and segmenters share: a model, its input, its labels.
@@ -181,7 +182,7 @@ impl Damage {
         if bad > 0 && !self.is_warned {
             self.is_warned = true;
             cx.warn(&format!(
-                "{} answers {bad} values that are NaN or infinite; rows that hold them give no boxes (metric `bad_values` counts on)",
+                "{} returned {bad} values that are NaN or infinite; rows with such values give no boxes (metric `bad_values` counts them)",
                 path.display()
             ));
         }
@@ -192,7 +193,7 @@ impl Damage {
         cx.metric("left_out", left_out as f64);
         if left_out > 0 && !self.is_limit_said {
             self.is_limit_said = true;
-            cx.warn(&format!("{left_out} boxes more than `{param}` = {max} were left out (metric `left_out` counts on); raise `{param}` or `min_score`"));
+            cx.warn(&format!("{left_out} boxes beyond `{param}` = {max} were left out (metric `left_out` counts them); raise `{param}` or `min_score`"));
         }
     }
 }
@@ -229,12 +230,12 @@ pub(crate) fn check_labels(check: &mut Validation<'_>, file: &std::path::Path) {
     }
 }
 
-/// Finds tools in a picture.
+/// Finds tools in an image.
 pub struct Yolo {
     network: Network,
     kind: ExportKind,
     calibration: Option<Calibration>,
-    /// Index of the class `unknown`, where the label table has it.
+    /// Index of the class `unknown`, if the label table has it.
     unknown: Option<u32>,
     familiarity: Familiarity,
     keypoints: Keypoints,
@@ -244,7 +245,7 @@ pub struct Yolo {
     tracker: Tracker,
 }
 
-/// The picture's bytes, whichever of the two formats it has.
+/// Pixels of an image of either format.
 pub(crate) fn picture_of<'f>(image: &AnyImage<'f>) -> Result<View<'f, u8>> {
     if let Some(bgr) = image.as_plane::<Bgr8>() {
         return Ok(bgr.view());

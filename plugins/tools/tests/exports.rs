@@ -1,4 +1,4 @@
-//! Every kind of export is recognised and its boxes come out where the network put them.
+//! Every kind of export is recognised, and its boxes are where the network put them.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ fn open(path: &Path, more: &str) -> Result<Harness<Yolo>, HarnessError> {
     Harness::<Yolo>::from_toml(&format!("params = {{ model = {path:?}, min_score = 0.25 {more} }}"))
 }
 
-/// Runs on a gray picture of 128 x 96 px, twice as large as the input, and gives the boxes.
+/// Runs on a gray image of 128 x 96 px, twice as large as the input, and returns the boxes.
 fn boxes(path: &Path, more: &str) -> Vec<(Detection, String)> {
     let mut node = open(path, more).expect("the model opens");
     let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
@@ -44,7 +44,7 @@ fn rows(count: usize, len: usize, set: &[(usize, Vec<f32>)]) -> Fixed {
     Fixed::Floats(values)
 }
 
-/// Cell (3, 2) of stride 8 is row 19: centre (28, 20), size 16 x 8 in the input; the picture is twice as large.
+/// Cell (3, 2) of stride 8 is row 19: centre (28, 20), size 16 x 8 in the input; the image is twice as large.
 fn one_hook() -> TinyModel {
     let v = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
     model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, v)]))])
@@ -82,7 +82,7 @@ fn boxes_in_the_dark_are_dropped() {
     }
 }
 
-/// A model with three rows: a sure hook, an instrument of unsure kind, and a weak one.
+/// A model with three rows: a certain hook, an instrument of uncertain kind, and a weak one.
 fn calibrated(folder_name: &str, more: &[(&'static str, &str)]) -> std::path::PathBuf {
     let row =
         |x: f32, objectness: f32, grasper: f32, hook: f32| vec![x, 0.5, 2f32.ln(), 0.0, objectness, grasper, hook];
@@ -166,7 +166,7 @@ fn pictures_unlike_those_learned_from_are_said_after_a_while() {
             let text = out.text("text").expect("a text").to_owned();
             last = (value, node.metric("unlike").expect("a metric"), boxes, text);
         }
-        (last, node.logs().iter().filter(|line| line.message.contains("unlike those")).count())
+        (last, node.logs().iter().filter(|line| line.message.contains("unlike the training images")).count())
     };
     let far = m("1", statistics).write(&folder, "far.onnx");
     let ((value, is_on, boxes, text), warnings) = seen(&far, "");
@@ -232,7 +232,7 @@ fn boxes_beyond_the_limit_are_counted_and_said_once() {
         assert_eq!(out.detections("detections").expect("detections").items().len(), 1);
     }
     assert_eq!(node.metric("left_out"), Some(2.0));
-    let said = node.logs().iter().filter(|l| l.message.contains("2 boxes more than `max_boxes` = 1")).count();
+    let said = node.logs().iter().filter(|l| l.message.contains("2 boxes beyond `max_boxes` = 1")).count();
     assert_eq!(said, 1, "{:?}", node.logs());
 }
 
@@ -334,7 +334,7 @@ fn a_label_table_of_another_length_is_refused() {
     let mut m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[]))]);
     m.metadata = vec![("names", "['a', 'b', 'c']".into())];
     let error = open(&m.write(&folder("labels"), "m.onnx"), "").err().expect("refused").to_string();
-    assert!(error.contains("has 2 classes, the label table has 3 names"), "{error}");
+    assert!(error.contains("has 2 classes, but the label table has 3 names"), "{error}");
 }
 
 #[test]
@@ -489,7 +489,7 @@ fn a_provider_that_is_not_there_leaves_the_network_to_the_processor() {
         // An ONNX Runtime with this provider, on a machine with a device for it, runs the network there without a word.
         if !logged.is_empty() {
             assert!(logged[0].starts_with(&format!("{title} cannot run")), "{logged:?}");
-            assert!(logged[0].contains("the processor does") && logged[0].contains("ORT_DYLIB_PATH"), "{logged:?}");
+            assert!(logged[0].contains("using the processor") && logged[0].contains("ORT_DYLIB_PATH"), "{logged:?}");
         }
         let found = boxes(&path, &chosen);
         assert_eq!((found.len(), found[0].1.as_str()), (1, "hook"), "{name}");

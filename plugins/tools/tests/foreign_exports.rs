@@ -1,4 +1,4 @@
-//! Exports in half precision, with channels last and with keypoints, as people have them. Their answer does not depend on the image.
+//! Exports in half precision, with channels last and with keypoints, as users have them. Their output does not depend on the image.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use panoscope_tools::yolo::Yolo;
 
 use crate::tiny_onnx::{Fixed, TinyModel, folder, runtime_is_there};
 
-/// A file of the folder of foreign exports; none where it is not there.
+/// A file of the folder of foreign exports; `None` if it does not exist.
 fn foreign(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/foreign").join(name);
     if !path.is_file() {
@@ -37,7 +37,7 @@ fn boxes(path: &Path) -> Vec<([f32; 4], String, f32)> {
     found.items().iter().map(one).collect()
 }
 
-/// Within a tenth of a px, and three digits of the score: half precision has no more.
+/// Compares within a tenth of a px and three digits of the score, the precision of half floats.
 fn assert_box(found: &[([f32; 4], String, f32)], label: &str) {
     let [(at, name, score)] = found else { panic!("{found:?}") };
     let off = at.iter().zip([100.0, 200.0, 200.0, 60.0]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);

@@ -37,7 +37,7 @@ fn calibration() -> Calibration {
     }
 }
 
-/// Share of the length of a bar at a point on it.
+/// Position of a point on a bar, as a share of its length; `None` beside it.
 fn on_bar([x, y]: [f64; 2], [ax, ay]: [f64; 2], [bx, by]: [f64; 2], width: f64) -> Option<f64> {
     let long = (bx - ax).hypot(by - ay);
     let t = ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / long;
@@ -52,7 +52,7 @@ fn ends(half_px: f64) -> [[f64; 2]; 2] {
     [-1.0, 1.0].map(|side| [TIP[0] - side * half_px * axis[1] / long, TIP[1] + side * half_px * axis[0] / long])
 }
 
-/// A picture of a grasper, with a clipper 8 mm before it that covers `covered` (left, right, top, bottom, px).
+/// Shows a grasper, with a clipper 8 mm in front of it that covers `covered` (left, right, top, bottom, px).
 fn show(node: &mut Harness<ToolTip>, tick: u64, half_px: f64, covered: [f64; 4]) -> Result<Option<Tip>, HarnessError> {
     let (row, len) = (WIDTH.div_ceil(8), detections::mask_len(WIDTH, HEIGHT));
     let (mut masks, mut depth) = (vec![0_u8; 2 * len], vec![TISSUE_MM as f32; WIDTH * HEIGHT]);
@@ -90,7 +90,7 @@ fn show(node: &mut Harness<ToolTip>, tick: u64, half_px: f64, covered: [f64; 4])
     Ok(if out.is_empty("tip")? { None } else { Some(out.value("tip")?) })
 }
 
-/// Nothing of the grasper is covered.
+/// An area that covers nothing of the grasper.
 const BESIDE: [f64; 4] = [0.0, 60.0, 100.0, 240.0];
 
 /// Distance of a tip from the true one, mm.

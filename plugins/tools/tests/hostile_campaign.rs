@@ -1,8 +1,8 @@
-//! A campaign of damaged and foreign models, seeded: each is opened and run in a child process, must end within a second with an error that names
-//! the file or with an answer, must not end the process, and must not read a file outside the model's folder.
+//! A seeded campaign of damaged and foreign models. Each is opened and run in a child process. It must end within a second, with an error that names
+//! the file or with an answer, must not crash the process, and must not read a file outside the model's folder.
 //!
-//! A short sample runs with the ordinary tests; `cargo xtask test hostile-models` runs 200. PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED
-//! choose how many and which.
+//! A short sample runs with the ordinary tests; `cargo xtask test hostile-models` runs 200. PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED choose
+//! how many and which.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -18,10 +18,10 @@ use panoscope_tools::yolo::Yolo;
 
 /// Set in the child: the case to open.
 const CASE: &str = "PANOSCOPE_HOSTILE_CASE";
-/// What lies outside the folder of every model, with a name that a model asks for.
+/// A file outside the folder of every model, which a model names.
 const SECRET: &str = "secret.bin";
 
-/// A detector whose answer holds a few boxes.
+/// A detector that outputs a few boxes.
 fn detector(chance: &mut SplitMix64) -> TinyModel {
     let mut values = vec![0.0f32; 84 * 7];
     for _ in 0..4 {
@@ -49,7 +49,7 @@ fn segmenter() -> TinyModel {
     }
 }
 
-/// Numbers that no network should answer.
+/// Numbers that no sound network outputs.
 fn wild(chance: &mut SplitMix64) -> f32 {
     let all = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, -0.0, 1e-45, 1e30];
     if chance.below(3) == 0 { f32::from_bits(chance.bits() as u32) } else { all[chance.below(all.len())] }
@@ -72,7 +72,7 @@ fn flipped(chance: &mut SplitMix64) -> Vec<u8> {
     bytes
 }
 
-/// Branches within branches: deep, or wide, or both.
+/// Nested branches: deep, or wide, or both.
 fn bomb(chance: &mut SplitMix64) -> Vec<u8> {
     let (depth, width) = [(500, 1), (15, 1), (12, 2), (3, 40), (40, 1)][chance.below(5)];
     let mut graph = Message::default().text(2, "inner");
@@ -144,7 +144,7 @@ fn label_tables(chance: &mut SplitMix64) -> Vec<u8> {
     model.bytes()
 }
 
-/// Shapes that promise more than there is, inputs that are no picture.
+/// Shapes that promise more data than there are, inputs that are not images.
 fn odd_shapes(chance: &mut SplitMix64) -> Vec<u8> {
     let mut model = detector(chance);
     match chance.below(5) {
@@ -182,10 +182,10 @@ const KINDS: [(&str, Make); 8] = [
     ("foreign", foreign),
 ];
 
-/// Nodes that each model is opened as.
+/// Number of nodes that each model is opened with.
 const NODES: usize = 3;
 
-/// Opens the model as all nodes and runs it on pictures of 1x1 and of the size given; says what came out. Never panics over the model.
+/// Opens the model with all nodes and runs it on images of 1x1 and of the given size; prints the result. Never panics because of the model.
 fn child(path: &Path, big: bool) {
     let sizes = if big { [(1usize, 1usize), (8000, 6000)] } else { [(1, 1), (33, 70)] };
     let say = |words: String| println!("ANSWER {}", words.replace('\n', " "));
@@ -241,12 +241,12 @@ fn child(path: &Path, big: bool) {
     }
 }
 
-/// Time for one case: a second for the work, more for a machine that has other work to do. Scaled by what a healthy model takes here and now.
+/// Time limit of one case: a second for the work, more on a busy machine. Scaled by the time that a healthy model takes here and now.
 fn patience(healthy: Duration) -> Duration {
     Duration::from_secs(1) + 4 * healthy
 }
 
-/// What a child said, and how long it took; an error when it died or did not end.
+/// Output of a child and its duration; an error if it crashed or did not end.
 fn ask(program: &Path, model: &Path, big: bool, most: Duration) -> Result<(Vec<String>, Duration), String> {
     let mut command = Command::new(program);
     command.args(["hostile_campaign::child_of_the_campaign", "--exact", "--nocapture", "--ignored"]);
@@ -278,7 +278,7 @@ fn ask(program: &Path, model: &Path, big: bool, most: Duration) -> Result<(Vec<S
     if answers.len() < NODES { Err(format!("said only {answers:?}")) } else { Ok((answers, took)) }
 }
 
-/// Started by the campaign in a process of its own.
+/// Started by the campaign in its own process.
 #[test]
 #[ignore = "started by the campaign"]
 fn child_of_the_campaign() {

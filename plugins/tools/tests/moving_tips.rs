@@ -1,4 +1,4 @@
-//! `skill`, `proximity` and `evaluate_proximity` on tips and depths whose distances and measures are known.
+//! `skill`, `proximity` and `evaluate_proximity` on tips and depths with known distances and measures.
 
 use panoscope_node::abi::{Calibration, Camera, CloudPoint, Detection, Pose, Tip};
 use panoscope_node::harness::{Harness, HarnessError, Level, Outputs};
@@ -176,7 +176,7 @@ fn a_surface_that_is_old_or_was_never_seen_is_said_to_be_unknown() -> Result<(),
     };
     let out = alone(&mut node)?;
     assert_eq!(column(&out, 0, "tissue_state")?, -1.0);
-    assert_eq!(out.text("text")?, "tip 1: distance to tissue not known");
+    assert_eq!(out.text("text")?, "tip 1: distance to tissue unknown");
     // Depth without any word on which pixels are tools is no tissue either.
     node.input_image::<Depth>("depth", SIZE.0, SIZE.1, &scene(&[near]).0);
     assert_eq!(column(&alone(&mut node)?, 0, "tissue_state")?, -1.0);
@@ -202,7 +202,7 @@ fn pictures_of_different_sizes_and_calibrations_that_are_none_are_refused() -> R
     node.input_image::<Depth>("depth", SIZE.0, SIZE.1, &scene(&[near]).0);
     node.input_image::<Mask>("mask", 8, 8, &[0; 64]);
     let error = node.process().err().expect("sizes differ").to_string();
-    assert!(error.contains("`mask` is of a picture of 8x8, depth is 160x120"), "{error}");
+    assert!(error.contains("`mask` belongs to an image of 8x8, but depth is 160x120"), "{error}");
     node.input_value("tip", near);
     node.input_value("calibration", Calibration { left_projection: [f64::NAN; 12], ..calibration() });
     assert!(node.process().is_err());
@@ -330,6 +330,6 @@ fn skill_leaves_out_what_is_only_predicted_and_says_when_there_are_too_many_tool
     let said: Vec<&str> =
         node.logs().iter().filter(|line| line.level == Level::Warn).map(|line| line.message.as_str()).collect();
     assert_eq!(said.len(), 1, "{said:?}");
-    assert!(said[0].contains("more tools than 16"), "{said:?}");
+    assert!(said[0].contains("more than 16 tools"), "{said:?}");
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Models that do not suit their table are refused, with the shape that they have and the one that would do.
+//! Models that do not fit their table are refused, with their shape and a valid one.
 
 use panoscope_node::harness::Harness;
 use panoscope_tools::onnx::Onnx;
@@ -8,8 +8,8 @@ use crate::tiny_onnx::{BYTE, DOUBLE, FLOAT, Fixed, HALF, INT64, SIGNED, WiredMod
 const IMAGE: &str = "port = 'image'";
 const LEFT_MASK: &str = "port = 'mask'";
 
-/// Element type and shape of the input `x`, its keys in the table, shape of the constant output `y`, its keys, and what the refusal says: what there is,
-/// and what would do.
+/// Element type and shape of the input `x`, its keys in the table, shape of the constant output `y`, its keys, and the parts of the refusal: what
+/// there is, and what would be valid.
 type Odd<'a> = ((i64, &'a [i64]), &'a str, &'a [i64], &'a str, [&'a str; 2]);
 
 const ODD_INPUTS: [Odd<'_>; 15] = [

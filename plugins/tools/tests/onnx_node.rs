@@ -1,4 +1,4 @@
-//! `onnx`: images reach the network as the table says, and its outputs come back in the pixels and units of the image.
+//! `onnx`: images reach the network as the table says, and its outputs return in pixels and units of the image.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,7 @@ fn noise(len: usize) -> Vec<u8> {
     (0..len).map(|_| random.bits() as u8).collect()
 }
 
-/// A network that gives its input back as floats.
+/// A network that returns its input as floats.
 fn echo(kind: i64, input: &[i64], output: &[i64]) -> WiredModel {
     WiredModel {
         inputs: vec![("x", kind, input.to_vec())],

@@ -1,4 +1,4 @@
-//! `tool_tip` among several instruments, and `tip_track` with words that come late.
+//! `tool_tip` among several instruments, and `tip_track` with detections that come late.
 
 use panoscope_node::abi::{Calibration, Camera, Detection, Tip};
 use panoscope_node::harness::{Harness, HarnessError};
@@ -37,7 +37,7 @@ fn calibration() -> Calibration {
     }
 }
 
-/// A scene of bars, the first one followed: x from, x to, y from, y to, depth. Answers the tip that is found.
+/// A scene of bars, the first one followed: x from, x to, y from, y to, depth. Returns the tip that is found.
 fn tip_among(bars: &[([usize; 4], f32)]) -> Result<Option<Tip>, HarnessError> {
     let (row, len) = (WIDTH.div_ceil(8), detections::mask_len(WIDTH, HEIGHT));
     let mut depth = vec![80.0_f32; WIDTH * HEIGHT];
@@ -88,8 +88,8 @@ fn a_tip_behind_another_instrument_is_none_and_one_before_it_is_its_own() -> Res
     Ok(())
 }
 
-/// Red tissue on a slope with darker vessels and a few white reflections, before it a gray instrument with a black shaft from the right border
-/// to a tip. Picture, bgr8, and depth.
+/// Red tissue on a slope with darker vessels and a few white reflections, and in front of it a gray instrument with a black shaft from the right
+/// border to a tip. Returns the image, bgr8, and the depth.
 fn instrument(tip: [f64; 2]) -> (Vec<u8>, Vec<f32>) {
     let mut picture = vec![0; WIDTH * HEIGHT * 3];
     let mut depth = vec![0.0; WIDTH * HEIGHT];

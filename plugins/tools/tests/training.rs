@@ -1,10 +1,10 @@
-//! The training scripts' own tests.
+//! Runs the tests of the training scripts.
 
 use std::path::Path;
 use std::process::Command;
 
-/// Runs a test module; `needs` are packages without which it is skipped. `PANOSCOPE_PYTHON` names another interpreter, such as one in a
-/// virtual environment with PyTorch.
+/// Runs a test module. `needs`: packages without which it is skipped. `PANOSCOPE_PYTHON` names another interpreter, such as one in a virtual
+/// environment with PyTorch.
 fn passes(module: &str, needs: &[&str]) {
     let program = std::env::var_os("PANOSCOPE_PYTHON").unwrap_or_else(|| "python3".into());
     let python = |arguments: &[&str]| {

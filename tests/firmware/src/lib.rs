@@ -1,5 +1,5 @@
-//! A simulated arm's controller on a pseudo-terminal. It speaks the line protocol of [`panoscope_arm_core::line`], with a watchdog of its own, motors
-//! with lag, encoders with noise, late answers, and a line that damages bytes. [`ur`] is the same for a Universal Robots arm over RTDE.
+//! A simulated arm's controller on a pseudo-terminal. It speaks the line protocol of [`panoscope_arm_core::line`], with its own watchdog, motors with
+//! lag, encoders with noise, late answers, and a line that damages bytes. [`ur`] is the same for a Universal Robots arm over RTDE.
 
 mod rtde_server;
 pub mod ur;
@@ -18,25 +18,25 @@ use panoscope_arm_core::campaign::Random;
 use panoscope_arm_core::line::{DeviceState, Line, Reader, Received, Serial, VERSION};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-/// Turns of the simulated controller.
+/// Period of the simulated controller.
 const PERIOD: Duration = Duration::from_millis(1);
-/// Braking of the controller's own watchdog, rad/s^2.
+/// Deceleration by the controller's own watchdog, rad/s^2.
 const BRAKE_RAD_S2: f64 = 4.0;
-/// Largest acceleration of the motors, rad/s^2. A real motor does not jump after set-points that arrive late and together.
+/// Maximum acceleration of the motors, rad/s^2. A real motor does not jump when set-points arrive late and together.
 const MOTOR_RAD_S2: f64 = 20.0;
-/// Smallest movement that is logged, rad.
+/// Minimum movement that is logged, rad.
 const LOGGED_RAD: f64 = 1e-7;
-/// Longest step in which movements are computed, s.
+/// Maximum step in which movements are computed, s.
 const MAX_STEP_S: f64 = 0.001;
 
-/// What the controller and its line do. Everything may change while it runs.
+/// Behaviour of the controller and its line. Everything may change while it runs.
 #[derive(Clone, Copy, Debug)]
 pub struct Behaviour {
     /// Time limit of the watchdog, ms.
     pub watchdog_ms: u32,
-    /// Time constant of the motors, s; 0 is at once.
+    /// Time constant of the motors, s; 0 is immediate.
     pub lag_s: f64,
-    /// Encoder noise, rad, evenly spread.
+    /// Encoder noise, rad, uniformly distributed.
     pub noise_rad: f64,
     /// Delay of answers.
     pub delay: Duration,
@@ -44,7 +44,7 @@ pub struct Behaviour {
     pub damaged_bytes: f64,
     /// Sends garbage instead of answers.
     pub is_garbage: bool,
-    /// Answers nothing.
+    /// Does not answer.
     pub is_silent: bool,
     /// The motors do not move.
     pub is_stuck: bool,
@@ -54,7 +54,7 @@ pub struct Behaviour {
     pub is_stopped: bool,
     /// The hardware has a fault.
     pub has_fault: bool,
-    /// Answers every line with the number before it.
+    /// Answers every line with the previous line's number.
     pub has_wrong_numbers: bool,
     /// Speaks version 1 of the protocol.
     pub is_version_1: bool,
@@ -83,24 +83,24 @@ impl Default for Behaviour {
     }
 }
 
-/// What happened to the arm.
+/// Events of the arm.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
-    /// Valid set-points: when they arrived, angles and speeds.
+    /// Valid set-points: arrival, angles and speeds.
     pub set_points: Vec<(Instant, JointVector, JointVector)>,
-    /// True angles, one entry per turn in which the arm moved: by more than 1e-7 rad, because motors come to rest exponentially.
+    /// True angles, one entry per period in which the arm moved by more than 1e-7 rad: motors come to rest exponentially.
     pub angles: Vec<(Instant, JointVector)>,
     /// How often the watchdog stopped the arm.
     pub watchdog: u32,
-    /// When it did so last.
+    /// When it last did.
     pub watchdog_at: Option<Instant>,
-    /// `C` lines.
+    /// Number of `C` lines.
     pub clears: u32,
     /// When the last one arrived.
     pub cleared_at: Option<Instant>,
-    /// Lines that were refused.
+    /// Number of lines that were refused.
     pub damaged: u64,
-    /// Lines that were accepted.
+    /// Number of lines that were accepted.
     pub lines: u64,
 }
 
@@ -148,17 +148,17 @@ impl Firmware {
         &self.path
     }
 
-    /// Changes what the arm does.
+    /// Changes the arm's behaviour.
     pub fn set(&self, change: impl FnOnce(&mut Behaviour)) {
         change(&mut locked(&self.state.0).behaviour);
     }
 
-    /// What has happened so far.
+    /// A copy of the log so far.
     pub fn log(&self) -> Log {
         locked(&self.state.0).log.clone()
     }
 
-    /// Something of the log, without a copy of all of it.
+    /// Reads from the log without copying it.
     pub fn inspect<T>(&self, of: impl FnOnce(&Log) -> T) -> T {
         of(&locked(&self.state.0).log)
     }
@@ -168,7 +168,7 @@ impl Firmware {
         locked(&self.state.0).angles
     }
 
-    /// Waits until `done` of the log; false when that takes longer than `limit`.
+    /// Waits until `done` accepts the log; returns false after `limit`.
     pub fn wait(&self, limit: Duration, mut done: impl FnMut(&Log) -> bool) -> bool {
         let (state, changed) = &*self.state;
         let result = changed.wait_timeout_while(locked(state), limit, |state| !done(&state.log));
@@ -191,7 +191,7 @@ struct Controller {
     shared: Arc<(Mutex<State>, Condvar)>,
     reader: Reader,
     random: Random,
-    /// Answers on their way: when they leave.
+    /// Delayed answers, with the time at which they are sent.
     late: VecDeque<(Instant, Vec<u8>)>,
     angles: JointVector,
     logged: JointVector,

@@ -1,4 +1,4 @@
-//! A simulated arm to try `arm_serial` with: prints the device to open, then runs until it is ended.
+//! A simulated arm for trying `arm_serial`: prints the device to open, then runs until it is terminated.
 
 use panoscope_firmware::{Behaviour, Firmware};
 

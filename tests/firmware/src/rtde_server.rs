@@ -12,9 +12,9 @@ use crate::ur_behaviour::UrBehaviour;
 
 /// Registers of each kind.
 const REGISTERS: usize = 48;
-/// Bytes that wait for a client; packages beyond are skipped, as a real controller does.
+/// Maximum number of bytes that wait for a client; further packages are skipped, as by a real controller.
 const MAX_WAITING: usize = 65_536;
-/// Longest package of a client, bytes.
+/// Maximum length of a client's package, bytes.
 const MAX_LEN: usize = 4096;
 
 /// The registers that clients and the program share. Inputs keep their last value.
@@ -39,12 +39,12 @@ pub(crate) struct Status {
     pub runtime_state: u32,
 }
 
-/// What arrived in a cycle.
+/// Data that arrived in a cycle.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Arrived {
-    /// Data packages.
+    /// Number of data packages.
     pub data: u64,
-    /// Connections that were closed because of what came.
+    /// Number of connections that were closed because of invalid data.
     pub refused: u32,
 }
 
@@ -104,7 +104,7 @@ impl Output {
 struct Client {
     stream: TcpStream,
     received: Vec<u8>,
-    /// Bytes on their way: when they leave.
+    /// Delayed bytes, with the time at which they are sent.
     waiting: VecDeque<(Instant, Vec<u8>)>,
     has_version: bool,
     outputs: Option<(f64, Vec<Output>)>,
@@ -136,7 +136,7 @@ fn package(kind: u8, payload: &[u8]) -> Vec<u8> {
     [&size.to_be_bytes()[..], &[kind], payload].concat()
 }
 
-/// A message for people, of level `error`.
+/// A text message of level `error`.
 fn message(text: &str) -> Vec<u8> {
     let source = b"RTDE";
     let payload = [&[text.len() as u8][..], text.as_bytes(), &[source.len() as u8], source, &[1]].concat();
@@ -154,7 +154,7 @@ fn damage(bytes: &mut [u8], share: f64, random: &mut Random) {
     }
 }
 
-/// Reads what has arrived; `None` when the connection has ended.
+/// Reads received bytes; `None` when the connection has ended.
 fn read(stream: &mut TcpStream, out: &mut Vec<u8>) -> Option<usize> {
     let mut buffer = [0; 4096];
     match stream.read(&mut buffer) {
@@ -181,7 +181,7 @@ impl Servers {
         Ok(Self { rtde, dashboard, serial, clients: Vec::new(), dashboards: Vec::new(), last_s: f64::NEG_INFINITY })
     }
 
-    /// Takes connections and packages.
+    /// Accepts connections and packages.
     pub fn receive(&mut self, behaviour: &UrBehaviour, registers: &mut Registers, random: &mut Random) -> Arrived {
         let mut arrived = Arrived::default();
         while let Some(stream) = accept(&self.rtde) {
@@ -241,7 +241,7 @@ impl Servers {
         arrived
     }
 
-    /// Answers a package of a client. True for a valid data package, whose values are then in the registers.
+    /// Answers a package of a client. Returns true for a valid data package, whose values are then in the registers.
     fn answer(
         &mut self,
         index: usize,
@@ -413,7 +413,7 @@ impl Client {
         true
     }
 
-    /// Sends what is due.
+    /// Sends the bytes that are due.
     fn flush(&mut self, now: Instant) {
         while let Some((due, bytes)) = self.waiting.front_mut() {
             if *due > now {

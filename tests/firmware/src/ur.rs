@@ -1,8 +1,8 @@
 //! A simulated Universal Robots controller: RTDE and dashboard servers on ports of this machine, motors with lag, encoders with noise, a safety
 //! system, and an interpreter that runs the robot's program ([`crate::urscript`]).
 //!
-//! It is written from the documented protocol and shares no code with the guard. Its clock counts control cycles; cycles that a loaded machine misses
-//! are skipped in the clock and run no program, so that the robot's deadman fires late there, never early.
+//! It is written from the documented protocol and shares no code with the guard. Its clock counts control cycles. Cycles that a loaded machine misses
+//! are skipped in the clock and do not run the program, so the robot's deadman fires late there, never early.
 
 use std::io;
 use std::net::TcpListener;
@@ -43,27 +43,27 @@ impl UrBehaviour {
     }
 }
 
-/// A moment at which the arm began to brake.
+/// The start of braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Braking {
     /// Control cycle.
     pub cycle: u64,
-    /// Cycle in which the newest data package had arrived.
+    /// Cycle in which the newest data package arrived.
     pub package_cycle: u64,
-    /// The program's reason, 0 when it is none of its stops.
+    /// The program's reason; 0 if the program did not stop the arm.
     pub reason: i32,
 }
 
-/// What happened to the arm.
+/// Events of the arm.
 #[derive(Clone, Debug, Default)]
 pub struct UrLog {
-    /// Control cycles that were run.
+    /// Number of control cycles run.
     pub cycle: u64,
-    /// True angles, one entry per cycle in which the arm moved: time of the controller, s, and rad.
+    /// True angles, one entry per cycle in which the arm moved: controller time, s, and rad.
     pub angles: Vec<(f64, JointVector)>,
-    /// Data packages that arrived.
+    /// Number of data packages received.
     pub packages: u64,
-    /// Cycle of the newest one.
+    /// Cycle of the newest package.
     pub package_cycle: u64,
     /// Targets of the program, rad: cycle and angles, one entry per change.
     pub targets: Vec<(u64, JointVector)>,
@@ -71,13 +71,13 @@ pub struct UrLog {
     pub braking: Vec<Braking>,
     /// How often the program's stop was cleared.
     pub releases: u32,
-    /// How often the program stopped the arm for want of a heartbeat.
+    /// How often the program stopped the arm because the heartbeat was missing.
     pub deadman: u32,
     /// How often the program was started.
     pub starts: u32,
     /// Why the program ended.
     pub program_error: Option<String>,
-    /// Connections that were closed because of what came.
+    /// Number of connections that were closed because of invalid data.
     pub refused: u32,
 }
 
@@ -95,7 +95,7 @@ pub struct UrSimulator {
     thread: Option<JoinHandle<()>>,
 }
 
-/// A program whose constant `SILENT_S` has another value, s: a loaded machine holds threads up for longer than the true one allows.
+/// The program with another value of its constant `SILENT_S`, s: a loaded machine delays threads for longer than the true value allows.
 ///
 /// # Errors
 /// The program has no such constant.
@@ -120,7 +120,7 @@ impl UrSimulator {
         Self::with_listeners(serial, program, angles, behaviour, listeners)
     }
 
-    /// The same on ports that are given: RTDE's, the dashboard server's.
+    /// As [`Self::plug_in`], on the given ports of RTDE and of the dashboard server.
     ///
     /// # Errors
     /// The program cannot be read, or a port is in use.
@@ -168,12 +168,12 @@ impl UrSimulator {
         self.ports
     }
 
-    /// Changes what the controller does.
+    /// Changes the controller's behaviour.
     pub fn set(&self, change: impl FnOnce(&mut UrBehaviour)) {
         change(&mut locked(&self.state.0).behaviour);
     }
 
-    /// What has happened so far.
+    /// A copy of the log so far.
     pub fn log(&self) -> UrLog {
         locked(&self.state.0).log.clone()
     }
@@ -183,7 +183,7 @@ impl UrSimulator {
         locked(&self.state.0).angles
     }
 
-    /// Waits until `done` of the log; false when that takes longer than `limit`.
+    /// Waits until `done` accepts the log; returns false after `limit`.
     pub fn wait(&self, limit: Duration, mut done: impl FnMut(&UrLog) -> bool) -> bool {
         let (state, changed) = &*self.state;
         let result = changed.wait_timeout_while(locked(state), limit, |state| !done(&state.log));
@@ -214,7 +214,7 @@ struct Controller {
     was_servo: bool,
 }
 
-/// What the program sees of the controller.
+/// The program's view of the controller.
 struct View<'a> {
     registers: &'a mut Registers,
     angles: JointVector,

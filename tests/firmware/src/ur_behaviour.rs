@@ -1,25 +1,25 @@
-//! What a simulated Universal Robots controller does right and wrong.
+//! Correct and faulty behaviour of a simulated Universal Robots controller.
 
 use std::time::Duration;
 
-/// What the controller does. Everything may change while it runs.
+/// Behaviour of the controller. Everything may change while it runs.
 #[derive(Clone, Copy, Debug)]
 pub struct UrBehaviour {
     /// The only version of RTDE that it speaks.
     pub rtde_version: u16,
-    /// Version of its software; 3 is a CB3 controller with cycles of 8 ms, others have 2 ms.
+    /// Software version; 3 is a CB3 controller with cycles of 8 ms, others have 2 ms.
     pub software: [u32; 4],
-    /// A field that it does not know.
+    /// A field that it does not support.
     pub unknown_field: &'static str,
-    /// A field that has another type here.
+    /// A field that has another type than documented.
     pub other_type: &'static str,
-    /// Answers something else than a serial number.
+    /// Answers something other than a serial number.
     pub has_no_serial: bool,
     /// Does not start the exchange.
     pub refuses_start: bool,
     /// Time constant of the joints, s.
     pub lag_s: f64,
-    /// Encoder noise, rad, evenly spread.
+    /// Encoder noise, rad, uniformly distributed.
     pub noise_rad: f64,
     /// Delay of outputs.
     pub delay: Duration,
@@ -31,11 +31,11 @@ pub struct UrBehaviour {
     pub is_silent: bool,
     /// Sends garbage instead of packages.
     pub is_garbage: bool,
-    /// Reports another heartbeat than the one that came.
+    /// Reports another heartbeat than it received.
     pub has_wrong_echo: bool,
     /// Closes all connections.
     pub is_unplugged: bool,
-    /// Speed of its clock and cycles; 1 is right.
+    /// Rate of its clock and cycles; 1 is correct.
     pub clock_rate: f64,
     /// The joints do not move.
     pub is_stuck: bool,
@@ -51,7 +51,7 @@ pub struct UrBehaviour {
     pub has_fault: bool,
     /// The arm has no power.
     pub is_off: bool,
-    /// Nobody has started the program, or somebody stopped it.
+    /// The program has not been started, or was stopped.
     pub is_program_stopped: bool,
 }
 

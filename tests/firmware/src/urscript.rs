@@ -1,21 +1,21 @@
-//! An interpreter of the part of URScript that `panoscope_arm.script` uses, so that tests run the text that runs on the robot.
+//! An interpreter for the subset of URScript that `panoscope_arm.script` uses, so that tests run the same text as the robot.
 //!
-//! Known: one `def` with assignments (`global`, `local` or plain), `while`, `if`, `elif`, `else`, threads, `run`, numbers, truth values, lists of
-//! numbers, and the built-in functions of [`Program::call`]. Whole numbers have 32 bits; one that does not fit ends the program, as does any other
-//! error. Threads run in turn once per control cycle, until `sync`, `servoj` or `stopj`.
+//! Supported: one `def` with assignments (`global`, `local` or plain), `while`, `if`, `elif`, `else`, threads, `run`, numbers, booleans, lists of
+//! numbers, and the built-in functions of [`Program::call`]. Integers have 32 bits; an overflow ends the program, as does any other error. Threads
+//! run in turn once per control cycle, until `sync`, `servoj` or `stopj`.
 
 use std::collections::HashMap;
 
-/// Statements of one thread in one control cycle; more is a loop that never waits.
+/// Maximum number of statements of one thread in one control cycle; more is a loop that never waits.
 const MAX_STATEMENTS: u32 = 10_000;
 
-/// What the program reads and writes.
+/// Interface of the program to the robot.
 pub trait Robot {
-    /// Input register of whole numbers.
+    /// Integer input register.
     fn input_int(&self, register: usize) -> i32;
-    /// Input register of real numbers.
+    /// Floating-point input register.
     fn input_float(&self, register: usize) -> f64;
-    /// Writes an output register of whole numbers.
+    /// Writes an integer output register.
     fn set_output_int(&mut self, register: usize, value: i32);
     /// Measured joint angles, rad.
     fn angles(&self) -> [f64; 6];
@@ -23,7 +23,7 @@ pub trait Robot {
     fn step_s(&self) -> f64;
 }
 
-/// What the arm does in a control cycle.
+/// Motion of the arm in a control cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motion {
     /// No thread moves it.
@@ -70,7 +70,7 @@ enum Op {
     Jump(usize),
 }
 
-/// Statements with the numbers of their lines.
+/// Statements with their line numbers.
 type Code = Vec<(usize, Op)>;
 
 enum Block {
@@ -86,11 +86,11 @@ struct Task {
     at: usize,
     locals: HashMap<String, Value>,
     is_main: bool,
-    /// In `stopj`, until the arm stands.
+    /// Deceleration of a running `stopj`, rad/s^2, until the arm is at rest.
     is_braking: Option<f64>,
 }
 
-/// A program that runs.
+/// A running program.
 #[derive(Debug)]
 pub struct Program {
     codes: Vec<Code>,
@@ -156,7 +156,7 @@ impl Parser {
         if self.at >= self.tokens.len() { Ok(()) } else { Err(format!("`{}` is too much", self.peek())) }
     }
 
-    /// Left-associative operators, by binding: weakest first.
+    /// Left-associative operators by precedence, lowest first.
     fn binary(&mut self, level: usize) -> Result<Expr, String> {
         const LEVELS: [&[&str]; 5] = [&["or"], &["and"], &["==", "!=", "<=", ">=", "<", ">"], &["+", "-"], &["*", "/"]];
         let Some(operators) = LEVELS.get(level) else { return self.unary() };
@@ -356,7 +356,7 @@ impl Compiler {
 // --- running
 
 impl Program {
-    /// Reads a program.
+    /// Parses a program.
     ///
     /// # Errors
     /// The line, and what is wrong in it.
@@ -381,7 +381,7 @@ impl Program {
         Ok(Self { codes, threads, globals: HashMap::new(), plain: HashMap::new(), tasks: vec![main] })
     }
 
-    /// Runs one control cycle. `is_still` says whether the arm stands.
+    /// Runs one control cycle. `is_still`: the arm is at rest.
     ///
     /// # Errors
     /// The program has ended, with an error or without.
@@ -520,7 +520,7 @@ impl Program {
         })
     }
 
-    /// A built-in function that does not wait.
+    /// Calls a built-in function that does not wait.
     fn call(name: &str, arguments: &[Value], robot: &mut dyn Robot) -> Result<Value, String> {
         let register = |value: &Value| match value {
             Value::Int(n @ 0..48) => Ok(*n as usize),

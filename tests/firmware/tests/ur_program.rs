@@ -1,4 +1,4 @@
-//! `panoscope_arm.script`, which runs on a Universal Robots controller, cycle by cycle: when it follows, and when it does not.
+//! `panoscope_arm.script`, the program of a Universal Robots controller, cycle by cycle: when it follows, and when it does not.
 
 use panoscope_arm_core::campaign::Random;
 use panoscope_firmware::urscript::{Motion, Program, Robot};
@@ -12,12 +12,12 @@ const STOPPED: i32 = 1;
 const READY: i32 = 2;
 const FOLLOWS: i32 = 3;
 
-/// A controller with an arm that is always where it was sent.
+/// A controller with an ideal arm, which is always at its target.
 struct Bench {
     program: Program,
     io: Io,
     beat: i32,
-    /// What the arm did in the newest cycle.
+    /// Motion of the arm in the newest cycle.
     motion: Motion,
 }
 
@@ -86,7 +86,7 @@ impl Bench {
         self.cycle()
     }
 
-    /// Released and following.
+    /// A bench that is released and following.
     fn following(step_s: f64) -> Self {
         let mut bench = Self::new(step_s);
         for command in [HOLD, HOLD, RELEASE, HOLD, FOLLOW, FOLLOW] {

@@ -1,6 +1,6 @@
-//! Lays out the sources of the engine with threads, locks, clocks and maps of the simulated world in place of those of `std`, frames that
-//! are overwritten when they are given back, and the mistakes of `mutations.rs`, which a test switches on. Nothing else is changed, and
-//! the engine knows nothing of it.
+//! Prepares the sources of the engine with threads, locks, clocks and maps of the simulated world in place of those of `std`, with frames that are
+//! overwritten when they are released, and with the defects of `mutations.rs`, which a test enables. Nothing else is changed; the engine itself does
+//! not depend on the simulation.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use mutations::{Change, MUTATIONS};
 const REPLACED: [&str; 5] = ["std::sync::", "std::thread::", "std::time::", "std::hint::", "std::collections::"];
 const WORLD: &str = "panoscope_sim_world::";
 
-/// Frames are filled with a pattern when they are handed out and when they are given back, so that nobody reads old pixels unnoticed.
+/// Frames are filled with a pattern when they are allocated and when they are released, so that reading old pixels is detected.
 const POISON: [Change; 2] = [
     Change {
         file: "memory/mod.rs",
@@ -31,7 +31,7 @@ const POISON: [Change; 2] = [
     },
 ];
 
-/// What the threads of a process learn about its processors is forgotten between two runs: each begins like the first.
+/// Resets what a process has learned about its processors between two runs, so that each run starts like the first.
 const FORGET: [Change; 2] = [
     Change {
         file: "node/runner.rs",

@@ -1,12 +1,12 @@
-/// A change of one place in the sources of the engine.
+/// A change at one position in the sources of the engine.
 pub(crate) struct Change {
     pub file: &'static str,
-    /// Text that the file has once.
+    /// Text that occurs exactly once in the file.
     pub from: &'static str,
     pub to: &'static str,
 }
 
-/// Mistakes that the campaign must find, each at one place of the runtime.
+/// Defects that the campaign must find, each at one position in the runtime.
 pub(crate) const MUTATIONS: &[(&str, Change)] = &[
     (
         "skip-reference",

@@ -1,4 +1,4 @@
-//! A case: everything that follows from a seed.
+//! A case: everything that is derived from a seed.
 
 use std::time::Duration;
 
@@ -9,19 +9,19 @@ use panoscope_sim_world::{Dice, Settings};
 use crate::graphs::{Kind, Maker, Model, Node, Trouble};
 use crate::harm::Harm;
 
-/// A harm, the nodes that can do it, and the causes that name it; no cause where nothing has to be named.
+/// A kind of misbehaviour, the nodes that can show it, and the causes under which it may be reported; no cause if it need not be reported.
 pub struct HarmRule {
-    /// The harm.
+    /// The misbehaviour.
     pub harm: Harm,
-    /// Types that can do it.
+    /// Types of nodes that can show it.
     pub kinds: &'static [Kind],
-    /// One of these causes is reported.
+    /// One of these causes must be reported.
     pub causes: &'static [Cause],
-    /// Ticks in a row: from, to.
+    /// Minimum and maximum number of consecutive ticks.
     pub ticks: (u64, u64),
-    /// Harmful calls after which it is reported.
+    /// Number of bad calls after which it is reported.
     pub calls: usize,
-    /// Whether its consequences in batch mode follow from the ticks alone.
+    /// Whether its consequences in batch mode depend on the ticks alone.
     pub in_batch: bool,
 }
 
@@ -57,7 +57,7 @@ const fn rule(
     HarmRule { harm, kinds, causes, ticks, calls, in_batch }
 }
 
-/// All harms.
+/// All kinds of misbehaviour.
 pub static HARMS: &[HarmRule] = &[
     rule(Harm::Error, ALL, &[Cause::Error], (1, 3), true),
     rule(Harm::Panic, ALL, &[Cause::Panic], (1, 3), true),
@@ -84,42 +84,42 @@ pub static HARMS: &[HarmRule] = &[
     rule(Harm::HangInLoad, MAKERS, &[], (0, 0), false),
 ];
 
-/// The rule of a harm.
+/// The rule for a kind of misbehaviour.
 pub fn rule_of(harm: Harm) -> Option<&'static HarmRule> {
     HARMS.iter().find(|rule| rule.harm == harm)
 }
 
-/// See the module.
+/// Everything that is derived from one seed.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// The seed.
     pub seed: u64,
-    /// How the world behaves.
+    /// Settings of the simulated world.
     pub world: Settings,
-    /// The graph at the start.
+    /// The initial graph.
     pub model: Model,
-    /// Threads of the pool.
+    /// Number of threads of the pool.
     pub threads: usize,
-    /// See the engine's option of this name.
+    /// The engine's option of this name.
     pub ticks_at_once: Option<u32>,
-    /// Ticks of each source in batch mode.
+    /// Number of ticks of each source in batch mode.
     pub frames: u64,
-    /// Changes while it runs.
+    /// Number of changes while it runs.
     pub edits: usize,
-    /// Whether an observer listens.
+    /// Whether an observer is connected.
     pub observed: bool,
-    /// How the disk behaves.
+    /// Behaviour of the disk.
     pub disk: Habits,
-    /// For a time, frames may take only this much more memory than they do.
+    /// If set, frames may for a time take only this much more memory than at its start.
     pub pinch_bytes: Option<i64>,
-    /// Whether a node of the first graph does not open.
+    /// Whether a node of the initial graph fails to open.
     pub start_fails: bool,
     /// Seed of the decisions while it runs.
     pub driver_seed: u64,
 }
 
 impl Case {
-    /// The case of a seed.
+    /// Derives the case from a seed.
     pub fn new(seed: u64) -> Self {
         let mut dice = Dice::new(panoscope_base::random::mix(seed));
         let (mut world_dice, mut graph_dice) = (dice.split(), dice.split());
@@ -180,17 +180,17 @@ impl Case {
         }
     }
 
-    /// The node that does harm.
+    /// The node that misbehaves.
     pub fn culprit(&self) -> Option<&Node> {
         self.model.nodes.iter().find(|node| node.trouble.is_some())
     }
 
-    /// Whether the fault of the node that does harm stops the run.
+    /// Whether the fault of that node stops the run.
     pub fn stops(&self) -> bool {
         self.culprit().and_then(|node| node.trouble.as_ref()).is_some_and(|trouble| trouble.on_fault == "stop")
     }
 
-    /// Whether there may be no thread for something.
+    /// Whether starting a thread may fail.
     pub fn is_short_of_threads(&self) -> bool {
         self.world.most_threads.is_some()
     }
@@ -200,7 +200,7 @@ impl Case {
         self.disk.capacity_bytes.is_some() || self.disk.fails_from.is_some()
     }
 
-    /// The case in words.
+    /// The case as text.
     pub fn describe(&self) -> String {
         let Self { seed, world, threads, ticks_at_once, frames, edits, observed, disk, pinch_bytes, .. } = self;
         format!(
@@ -211,7 +211,7 @@ impl Case {
     }
 }
 
-/// Gives one node something to do wrong. The seed chooses the harm, so that all have their turn.
+/// Makes one node misbehave. The seed selects the kind, so that all occur.
 fn add_trouble(model: &mut Model, dice: &mut Dice, seed: u64) {
     let rule = &HARMS[seed as usize % HARMS.len()];
     if model.batch && !rule.in_batch {

@@ -1,4 +1,4 @@
-//! What must hold after a run.
+//! Invariants that must hold after a run.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,7 +11,7 @@ use crate::graphs::{Kind, Node};
 use crate::harm::Harm;
 use crate::observe::Seen;
 
-/// Maximum number of failures that are reported of a run.
+/// Maximum number of failures reported per run.
 const MAX_FAILURES: usize = 8;
 
 /// A call of a node.
@@ -21,7 +21,7 @@ struct Call<'a> {
     inputs: &'a [Content],
 }
 
-/// Checks a run. Returns what is not as it must be.
+/// Checks a run. Returns the violated invariants.
 pub fn check(done: &Done) -> Vec<String> {
     let mut failures = Vec::new();
     let ran = match &done.ended.result {
@@ -76,7 +76,7 @@ impl<'a> Checks<'a> {
         })
     }
 
-    /// A node by name in any version.
+    /// A node by name in any version of the graph.
     fn node(&self, id: &str) -> Option<&'a Node> {
         self.ran.versions.iter().find_map(|version| version.model.node(id))
     }
@@ -85,19 +85,19 @@ impl<'a> Checks<'a> {
         self.done.case.culprit()
     }
 
-    /// Whether nodes may miss ticks that they would have got otherwise.
+    /// Whether nodes may miss ticks because memory is short.
     fn is_short_of_memory(&self) -> bool {
         self.done.case.pinch_bytes.is_some() && self.done.case.edits > 0
     }
 
-    /// Whether nothing on the way to a node does harm, in any version.
+    /// Whether no node upstream misbehaves, in any version.
     fn is_healthy(&self, id: &str) -> bool {
         let versions = self.ran.versions.iter().filter(|v| v.model.node(id).is_some());
         versions.clone().all(|v| v.model.is_healthy(id))
             && !(self.done.case.disk_fails() && self.node(id).is_some_and(|n| n.kind == Kind::Write))
     }
 
-    /// The version that a tick of a source met.
+    /// The version of the graph that a tick of a source met.
     fn version_at(&self, source: &str, seq: u64) -> &'a Version {
         let mut current = &self.ran.versions[0];
         let mut structural = true;
@@ -131,7 +131,7 @@ impl<'a> Checks<'a> {
         }
     }
 
-    /// Each picture came by the connections of the graph that its tick met, and no other.
+    /// Each frame came by the edges of the graph that its tick met, and by no others.
     fn ways(&self, failures: &mut Vec<String>) {
         for call in self.calls() {
             for (at, content) in call.inputs.iter().enumerate() {
@@ -161,8 +161,8 @@ impl<'a> Checks<'a> {
         nodes.find(|node| name_hash(&node.id) == hash).map_or_else(|| format!("{hash:#x}"), |node| node.id.clone())
     }
 
-    /// At each tick a node has the same values for all readers, only ones that were set, never older ones than before, and the last
-    /// ones at the end.
+    /// At each tick a node has the same values for all readers: only values that were set, never older ones than before, and the last ones at the
+    /// end.
     fn values(&self, failures: &mut Vec<String>) {
         let mut found: BTreeMap<(u32, u64), u32> = BTreeMap::new();
         for call in self.calls() {
@@ -210,7 +210,7 @@ impl<'a> Checks<'a> {
         self.ran.outcome == Some(Outcome::Done)
     }
 
-    /// Each tick that a source made reaches all healthy nodes, or was dropped before the first and counted.
+    /// Each tick of a source reaches all healthy nodes, or was dropped before the first one and counted.
     fn losses(&self, failures: &mut Vec<String>) {
         if self.is_short_of_memory() || !self.is_done() {
             return;
@@ -265,7 +265,7 @@ impl<'a> Checks<'a> {
         }
     }
 
-    /// Only the node that does harm is named, or one that failed because of it.
+    /// Only the misbehaving node is reported, or one that failed because of it.
     fn faults(&self, failures: &mut Vec<String>) {
         let culprit = self.culprit();
         for fault in &self.ran.faults {
@@ -331,7 +331,7 @@ impl<'a> Checks<'a> {
         }
     }
 
-    /// Sinks that write and do no harm.
+    /// Sinks that write and do not misbehave.
     fn sinks(&self) -> BTreeSet<&'a str> {
         let nodes = self.ran.versions.iter().flat_map(|v| &v.model.nodes);
         let writes = |node: &&Node| node.kind == Kind::Write && node.trouble.is_none();
@@ -339,7 +339,7 @@ impl<'a> Checks<'a> {
         if self.done.case.disk_fails() { BTreeSet::new() } else { ids.collect() }
     }
 
-    /// The run ends as the graph says, and no data is lost without a word.
+    /// The run ends as the graph states, and every loss of data is reported.
     fn end(&self, failures: &mut Vec<String>) {
         let stops = self.done.case.stops();
         match &self.ran.outcome {

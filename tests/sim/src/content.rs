@@ -1,10 +1,10 @@
-//! Pictures that say what they are: source, tick, and the nodes that made them. All other pixels follow from that, so that a reader finds
-//! every byte of another tick, of an old picture or of memory that nobody wrote.
+//! Frames that describe themselves: source, tick, and the nodes that made them. All other pixels are derived from that, so that a reader detects
+//! every byte of another tick, of an old frame or of unwritten memory.
 
 use panoscope_base::random::SplitMix64;
 use panoscope_sim_world::point;
 
-/// A node that a picture went through, with the values that the node had.
+/// A node that a frame passed through, with the values that the node had.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Step {
     /// [`name_hash`] of the node.
@@ -13,27 +13,27 @@ pub struct Step {
     pub values: u32,
 }
 
-/// What a picture says.
+/// Description of a frame.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Content {
     /// Number of the tick.
     pub seq: u64,
-    /// The nodes from the source on.
+    /// The nodes, from the source on.
     pub steps: Vec<Step>,
 }
 
-/// Maximum number of steps of a picture.
+/// Maximum number of steps of a frame.
 pub const MAX_STEPS: usize = 20;
-/// Smallest picture that holds all steps.
+/// Minimum size of a frame that holds all steps, bytes.
 pub const MIN_BYTES: usize = HEAD_BYTES + MAX_STEPS * 8 + 8;
 const HEAD_BYTES: usize = 4 + 4 + 8 + 4;
 const MAGIC: [u8; 4] = *b"PSIM";
-/// Bytes that are written or read between two places where another thread may run.
+/// Number of bytes that are written or read between two points at which another thread may run.
 const PIECE_BYTES: usize = 128;
-/// No picture is larger.
+/// Maximum size of a frame, bytes.
 const MAX_BYTES: usize = 1 << 16;
 
-/// Names a node in a picture.
+/// Identifier of a node in a frame.
 pub fn name_hash(name: &str) -> u32 {
     panoscope_abi::fnv1a(panoscope_abi::FNV_START, name.as_bytes()) as u32
 }
@@ -53,7 +53,7 @@ impl Content {
         head
     }
 
-    /// All bytes of a picture of `len` bytes.
+    /// All bytes of a frame of `len` bytes.
     fn bytes(&self, len: usize) -> Vec<u8> {
         let mut bytes = self.head(len);
         let mut rest = SplitMix64(panoscope_abi::fnv1a(panoscope_abi::FNV_START, &bytes));
@@ -64,7 +64,7 @@ impl Content {
         bytes
     }
 
-    /// Writes the picture, piece by piece.
+    /// Writes the frame piece by piece.
     pub fn write(&self, out: &mut [u8]) {
         let bytes = self.bytes(out.len());
         for (to, from) in out.chunks_mut(PIECE_BYTES).zip(bytes.chunks(PIECE_BYTES)) {
@@ -73,15 +73,15 @@ impl Content {
         }
     }
 
-    /// The bytes from `from` to `to` of a picture of `len` bytes, for threads that write a part each.
+    /// The bytes `from..to` of a frame of `len` bytes, for threads that write a part each.
     pub fn part(&self, len: usize, from: usize, to: usize) -> Vec<u8> {
         self.bytes(len)[from..to].to_vec()
     }
 
-    /// Reads a picture, piece by piece.
+    /// Reads a frame piece by piece.
     ///
     /// # Errors
-    /// The first byte that is not as it must be.
+    /// The first wrong byte.
     pub fn read(bytes: &[u8]) -> Result<Self, String> {
         let mut copy = Vec::with_capacity(bytes.len());
         for piece in bytes[..bytes.len().min(MAX_BYTES)].chunks(PIECE_BYTES) {
@@ -112,7 +112,7 @@ impl Content {
         }
     }
 
-    /// The picture after another node.
+    /// The frame after another node.
     #[must_use]
     pub fn then(&self, node: u32, values: u32) -> Self {
         let mut next = self.clone();

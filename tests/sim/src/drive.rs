@@ -21,30 +21,30 @@ use crate::harm::Harm;
 use crate::observe::{self, Seen};
 use crate::plugins::simulated;
 
-/// Longest wait for something that has to happen, in simulated time.
+/// Time limit for an expected event, in simulated time.
 const PATIENCE: Duration = Duration::from_secs(25);
-/// Longest time for opening a node.
+/// Time limit for opening a node.
 const OPEN_LIMIT: Duration = Duration::from_secs(3);
-/// Longest time for closing a node.
+/// Time limit for closing a node.
 const CLOSE_LIMIT: Duration = Duration::from_secs(2);
-/// Usual limit of frame memory.
+/// Usual limit of frame memory, bytes.
 const MEMORY_BYTES: i64 = 2 << 30;
 
-/// A graph that ran, from the first ticks on that its sources made for it.
+/// A version of the graph, from the first ticks that its sources made for it.
 #[derive(Clone, Debug)]
 pub struct Version {
-    /// The graph.
+    /// The graph of this version.
     pub model: Model,
     /// First tick of each source whose region was changed.
     pub switched_at: Vec<(String, u64)>,
 }
 
-/// What a run left behind.
+/// Results of a run.
 #[derive(Debug, Default)]
 pub struct Ran {
-    /// The graphs in their order.
+    /// The versions in order.
     pub versions: Vec<Version>,
-    /// All numbers of values that each node had, in their order.
+    /// All values that each node had, in order.
     pub values: BTreeMap<String, Vec<u32>>,
     /// Reported faults.
     pub faults: Vec<Fault>,
@@ -58,9 +58,9 @@ pub struct Ran {
     pub log: Vec<String>,
     /// Whether a change opened a node that did not return.
     pub hung_edit: bool,
-    /// What did not happen as it must.
+    /// Expected events that did not occur.
     pub failures: Vec<String>,
-    /// Changes that were made, and refused.
+    /// Numbers of changes that were applied and refused.
     pub edits: (usize, usize),
 }
 
@@ -131,7 +131,7 @@ fn options(case: &Case, watch: &Arc<Watch>) -> Options {
     }
 }
 
-/// Runs the case. Called in its world.
+/// Runs the case. Must be called in its world.
 pub fn run(case: Case) -> Ran {
     observe::begin(Disk::new(case.disk.clone()));
     memory().set_limit_bytes(MEMORY_BYTES);
@@ -182,7 +182,7 @@ impl Driver {
         &self.ran.versions[self.ran.versions.len() - 1].model
     }
 
-    /// Adds the values of the newest graph to those that nodes may have.
+    /// Records the values of the newest graph as allowed values of the nodes.
     fn note_values(&mut self) {
         let nodes: Vec<(String, u32)> = self.model().nodes.iter().map(|n| (n.id.clone(), n.values())).collect();
         for (node, values) in nodes {
@@ -232,7 +232,7 @@ impl Driver {
         }
     }
 
-    /// Waits until the fault of the harm is reported, and until good pictures come again.
+    /// Waits until the expected fault is reported, and until good frames arrive again.
     fn see_faults(&mut self) {
         let Some(culprit) = self.case.culprit().cloned() else { return };
         let Some(trouble) = culprit.trouble.clone() else { return };
@@ -398,21 +398,21 @@ impl Driver {
     }
 }
 
-/// Everything that is left of a case.
+/// A finished case.
 pub struct Done {
     /// The case.
     pub case: Case,
-    /// What happened in the world.
+    /// How the world ended.
     pub ended: world::Ended<Ran>,
     /// What the nodes saw.
     pub seen: Vec<Seen>,
     /// The disk at the end.
     pub disk: Disk,
-    /// Frame memory that was not given back.
+    /// Frame memory that was not released, bytes.
     pub kept_bytes: i64,
 }
 
-/// Fills what a process fills once, so that its first run is like all others: pools of frames, and what the first graph uses.
+/// Initialises what a process initialises once (pools of frames, state of the first graph), so that its first run is like all others.
 fn warm_up() {
     static DONE: std::sync::Once = std::sync::Once::new();
     DONE.call_once(|| {
@@ -427,7 +427,7 @@ fn warm_up() {
     });
 }
 
-/// Runs a case in a world of its own.
+/// Runs a case in a separate world.
 pub fn play(case: Case, keep_trace: bool) -> Done {
     let _alone = observe::alone();
     warm_up();

@@ -13,25 +13,25 @@ use crate::harm::Harm;
 pub enum Kind {
     /// A source.
     Camera,
-    /// Hands the same buffer on.
+    /// Forwards the same buffer.
     Pass,
-    /// Makes a new picture.
+    /// Makes a new frame.
     Mark,
-    /// As `Mark`, on a thread of its own.
+    /// As `Mark`, on a separate thread.
     MarkBlocking,
     /// As `Mark`, exclusive.
     MarkDevice,
-    /// As `Mark`, and lies about lengths when told to.
+    /// As `Mark`; reports wrong lengths on request.
     MarkLying,
-    /// Changes the picture in place.
+    /// Changes the frame in place.
     Draw,
-    /// Retains pictures.
+    /// Retains frames.
     Keep,
-    /// Joins two pictures.
+    /// Joins two frames.
     Pair,
-    /// Looks at pictures.
+    /// Reads frames.
     Look,
-    /// Writes numbers of ticks.
+    /// Writes tick numbers.
     Write,
 }
 
@@ -53,27 +53,27 @@ impl Kind {
         }
     }
 
-    /// Whether it adds itself to the pictures.
+    /// Whether it adds itself to the steps of the frames.
     pub fn adds_step(self) -> bool {
         !matches!(self, Self::Pass | Self::Keep | Self::Look | Self::Write)
     }
 
-    /// Whether nothing comes after it.
+    /// Whether it has no readers.
     pub fn is_sink(self) -> bool {
         matches!(self, Self::Look | Self::Write)
     }
 }
 
-/// What a node does wrong.
+/// Misbehaviour of a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trouble {
-    /// What goes wrong.
+    /// Kind of misbehaviour.
     pub harm: Harm,
     /// First tick.
     pub first: u64,
     /// Ticks in a row.
     pub ticks: u64,
-    /// How long a call hangs, or is slow.
+    /// Duration of a call that hangs or is slow.
     pub hang_ms: f64,
     /// `on_fault` of the node.
     pub on_fault: &'static str,
@@ -90,23 +90,23 @@ pub struct Node {
     pub kind: Kind,
     /// Names of the nodes that it reads.
     pub inputs: Vec<String>,
-    /// Whether it takes the newest picture instead of that of its tick.
+    /// Whether it takes the newest frame instead of that of its tick.
     pub latest: bool,
     /// Queue of its inputs.
     pub queue: Option<u32>,
-    /// Numbers of its values.
+    /// Number of its live values.
     pub live: u32,
-    /// Number of its values that open it again.
+    /// Number of its values that reopen it.
     pub reopened: u32,
-    /// Time of a call.
+    /// Duration of a call.
     pub cost_ms: f64,
-    /// Depth of its loops.
+    /// Nesting depth of its parallel loops.
     pub loops: u32,
-    /// How long it takes to open.
+    /// Duration of opening.
     pub open_ms: f64,
     /// Whether it refuses to open.
     pub refuses: bool,
-    /// What it does wrong.
+    /// Misbehaviour, if any.
     pub trouble: Option<Trouble>,
     /// Further parameters.
     pub more: String,
@@ -132,7 +132,7 @@ impl Node {
         }
     }
 
-    /// Number of its values in pictures.
+    /// Number that identifies its values in frames.
     pub fn values(&self) -> u32 {
         self.reopened << 16 | self.live
     }
@@ -195,7 +195,7 @@ impl Model {
         text
     }
 
-    /// The source whose ticks a node processes; `None` for a node that fires on arrivals.
+    /// The source whose ticks a node processes; `None` for a node that runs on arrivals.
     pub fn source_of(&self, id: &str) -> Option<&str> {
         let node = self.node(id)?;
         match node.inputs.first() {
@@ -205,7 +205,7 @@ impl Model {
         }
     }
 
-    /// The nodes that add themselves to the picture that comes out of `id`, from the source on.
+    /// The nodes that add themselves to the frame at the output of `id`, from the source on.
     pub fn steps_out_of(&self, id: &str) -> Vec<u32> {
         let Some(node) = self.node(id) else { return Vec::new() };
         let mut steps = node.inputs.first().map(|input| self.steps_out_of(input)).unwrap_or_default();
@@ -215,13 +215,13 @@ impl Model {
         steps
     }
 
-    /// Whether a picture with these steps can come from `id` in this graph.
+    /// Whether a frame with these steps can come from `id` in this graph.
     pub fn fits(&self, id: &str, steps: &[Step]) -> bool {
         let expected = self.steps_out_of(id);
         expected.len() == steps.len() && expected.iter().zip(steps).all(|(node, step)| *node == step.node)
     }
 
-    /// All nodes on whose work `id` depends, itself included.
+    /// All nodes upstream of `id`, including itself.
     pub fn upstream(&self, id: &str) -> Vec<&Node> {
         let mut all = Vec::new();
         let mut todo = vec![id];
@@ -235,7 +235,7 @@ impl Model {
         all
     }
 
-    /// Whether nothing on the way to `id` does harm.
+    /// Whether no node upstream of `id` misbehaves.
     pub fn is_healthy(&self, id: &str) -> bool {
         self.upstream(id).iter().all(|node| node.trouble.is_none())
     }
@@ -261,23 +261,23 @@ pub fn harm_name(harm: Harm) -> String {
     name
 }
 
-/// Makes names, graphs and changes.
+/// Generates names, graphs and changes.
 pub struct Maker {
     dice: Dice,
     names: u32,
     values: BTreeMap<String, u32>,
     /// Whether calls take time.
     pub costs: bool,
-    /// Whether nodes retain pictures. One that releases twice may release what another instance of its plugin retains.
+    /// Whether nodes retain frames. A node that releases twice may release what another instance of its plugin retains.
     pub keeps: bool,
 }
 
 /// A change of a running graph.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Edit {
-    /// To another graph as a whole.
+    /// To another graph.
     Graph(Model),
-    /// As `Graph`, before a tick so many ahead of the newest.
+    /// As `Graph`, before a tick that is this many ticks ahead of the newest.
     GraphAt(Model, u64),
     /// One parameter of a node: `live` or `reopened`.
     Value {
@@ -290,11 +290,11 @@ pub enum Edit {
     },
 }
 
-/// Longest way from a source.
+/// Maximum number of nodes from a source to a sink.
 const MAX_DEPTH: usize = 9;
 
 impl Maker {
-    /// A maker whose graphs follow from the dice.
+    /// A generator whose graphs depend only on the dice.
     pub fn new(dice: Dice) -> Self {
         Self { dice, names: 0, values: BTreeMap::new(), costs: true, keeps: true }
     }
@@ -304,7 +304,7 @@ impl Maker {
         format!("{letter}{}", self.names)
     }
 
-    /// The next number of values of a node: no node has the same twice, so that old values are known as such.
+    /// The next number of values of a node. No number is used twice, so that old values are recognised.
     fn next_value(&mut self, id: &str) -> u32 {
         let value = self.values.entry(id.to_owned()).or_default();
         *value += 1;
@@ -528,7 +528,7 @@ impl Maker {
         }
     }
 
-    /// A maker for changes: its names and numbers of values begin after those of the graph.
+    /// A generator for changes: its names and values begin after those of the graph.
     pub fn with_names(dice: Dice, after: u32) -> Self {
         Self { names: after, ..Self::new(dice) }
     }

@@ -1,8 +1,8 @@
-//! What simulated nodes do wrong.
+//! Kinds of misbehaviour of simulated nodes.
 
 use panoscope_node::Choice;
 
-/// What goes wrong.
+/// Kind of misbehaviour.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Harm {
     /// Nothing.
@@ -17,35 +17,35 @@ pub enum Harm {
     HangInLoop,
     /// A chunk of a loop inside a chunk of a loop does not return for `hang_ms`.
     HangInNestedLoop,
-    /// A picture of NaN.
+    /// A frame of NaN.
     Nan,
-    /// A picture of another size.
+    /// A frame of another size.
     WrongSize,
-    /// A picture of a format that the reader does not take.
+    /// A frame of a format that the reader does not accept.
     WrongFormat,
     /// A description that claims more bytes than the buffer has.
     WrongLength,
-    /// No picture.
+    /// No frame.
     Nothing,
-    /// A picture larger than any may be.
+    /// A frame larger than the maximum.
     TooMuch,
     /// The call takes longer than its budget.
     Slow,
-    /// Every picture is retained for ever.
+    /// Every frame is retained forever.
     Leak,
-    /// A picture that is retained once is released twice.
+    /// A frame that is retained once is released twice.
     ReleaseTwice,
-    /// The capture time of the tick before. Sources only.
+    /// The capture time of the previous tick. Sources only.
     Repeat,
-    /// A capture time a little before that of the tick before. Sources only.
+    /// A capture time slightly before that of the previous tick. Sources only.
     Reorder,
-    /// Capture times at the ends of what the number holds. Sources only.
+    /// Capture times at the limits of the integer. Sources only.
     Extreme,
     /// Capture times jump back by 10 s once. Sources only.
     Rewind,
-    /// Opening again fails a few times.
+    /// Reopening fails a few times.
     RefuseOpen,
-    /// Opening again does not return for `hang_ms`.
+    /// Reopening does not return for `hang_ms`.
     HangInOpen,
     /// Closing does not return for `hang_ms`.
     HangInClose,

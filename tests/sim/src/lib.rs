@@ -1,9 +1,9 @@
-//! One simulator for the whole runtime: graphs with harmful nodes, a disk that fails and changes while they run, in a world in which
-//! threads, locks, time and disk follow from a seed.
+//! One simulator for the whole runtime: graphs with misbehaving nodes, a disk that fails and changes while they run, in a world in which threads,
+//! locks, time and disk are derived from a seed.
 //!
-//! The engine is the real one, built from its sources with the threads, locks and clocks of [`panoscope_sim_world`]; see
-//! `engine/build.rs`. Pictures carry what they are ([`content`]), nodes check every byte of their inputs ([`nodes`]), and after a run
-//! [`check`] compares everything that was seen with what the runtime promises.
+//! The engine is the real one, built from its sources with the threads, locks and clocks of [`panoscope_sim_world`]; see `engine/build.rs`. Frames
+//! describe themselves ([`content`]), nodes check every byte of their inputs ([`nodes`]), and after a run [`check`] compares everything that was seen
+//! with what the runtime guarantees.
 
 pub mod case;
 pub mod check;

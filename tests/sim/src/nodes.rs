@@ -12,30 +12,30 @@ use crate::harm::Harm;
 use crate::observe::{Seen, disk, next_instance, observe};
 use crate::plan::{Begin, Plan, wait_ms};
 
-/// One picture of the call's tick.
+/// One frame of the call's tick.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture.
+    /// The frame to process.
     image: Image<'f, Gray8>,
 }
 
-/// Two pictures of the call's tick.
+/// Two frames of the call's tick.
 #[derive(Ports)]
 pub struct TwoIn<'f> {
-    /// The picture that goes on.
+    /// The frame to forward.
     left: Image<'f, Gray8>,
-    /// The picture beside it.
+    /// The second frame.
     right: Image<'f, Gray8>,
 }
 
-/// A picture.
+/// One frame.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The picture.
+    /// The frame.
     image: Slot<'f, AnyFormat>,
 }
 
-/// What all simulated nodes have.
+/// State that all simulated nodes have.
 struct Base {
     id: String,
     hash: u32,
@@ -84,7 +84,7 @@ impl Base {
         observe(Seen::Wrong { node: self.id.clone(), words });
     }
 
-    /// Checks an input. `exact`: it must be of the call's tick.
+    /// Checks an input. `exact`: it must belong to the call's tick.
     fn look(&self, cx: &Context<'_>, image: &Image<'_, Gray8>, exact: bool) -> Option<Content> {
         let frame = image.frame();
         // SAFETY: the host lends `len` bytes for the call.
@@ -149,7 +149,7 @@ impl Drop for Base {
     }
 }
 
-/// Writes a picture, on several threads if the plan says so.
+/// Writes a frame, on several threads if the plan says so.
 fn paint(cx: &Context<'_>, plan: &Plan, content: &Content, out: &mut [u8]) {
     let len = out.len();
     if plan.loops == 0 {
@@ -180,22 +180,22 @@ fn paint(cx: &Context<'_>, plan: &Plan, content: &Content, out: &mut [u8]) {
     }
 }
 
-/// Hands the same buffer on.
+/// Forwards the same buffer.
 pub struct Pass(Base);
-/// Makes a new picture.
+/// Makes a new frame.
 pub struct Mark(Base);
-/// As [`Mark`], on a thread of its own.
+/// As [`Mark`], on a separate thread.
 pub struct MarkBlocking(Base);
-/// As [`Mark`], with a device that only one can open.
+/// As [`Mark`], with an exclusive device.
 pub struct MarkDevice(Base);
-/// Changes the picture in place, or a copy if others read it.
+/// Changes the frame in place, or a copy if others read it.
 pub struct Draw(Base);
-/// Hands the picture on and retains the last three, which must not change.
+/// Forwards the frame and retains the last three, which must not change.
 pub struct Keep(Base, Vec<(Retained<Gray8>, Content)>);
-/// Joins two pictures of a tick.
+/// Joins two frames of a tick.
 pub struct Pair(Base);
 
-/// What [`Mark`] and its kind do.
+/// Processes a tick of [`Mark`] and its variants.
 fn mark<'f>(base: &mut Base, cx: &Context<'f>, input: &In<'f>, out: &mut Out<'f>, plan: &Plan) -> Result<()> {
     let Some(content) = base.begin(cx, &input.image) else { return Ok(()) };
     make(base, cx, &content, &input.image, out, plan)
@@ -351,7 +351,7 @@ pub struct Camera {
     back_ns: i64,
 }
 
-/// Accepted capture times end here.
+/// Maximum accepted capture time, ns.
 const END_NS: i64 = 1 << 62;
 
 impl Node for Camera {
@@ -408,16 +408,16 @@ impl Node for Camera {
     }
 }
 
-/// Looks at the newest picture or at each one, and writes nothing.
+/// Reads the newest frame or each one, and writes nothing.
 pub struct Look(Base);
 
-/// Values of a node that only looks.
+/// Parameters of a node that only reads.
 #[derive(Params)]
 pub struct Looks {
-    /// Whether its input is of the call's tick.
+    /// Whether its input must belong to the call's tick.
     #[param(default = true)]
     exact: bool,
-    /// How long a call takes.
+    /// Duration of a call.
     #[param(default = 0.0, range = 0.0..=100000.0, unit = "ms")]
     cost_ms: f64,
 }
@@ -488,7 +488,7 @@ impl Node for Write {
     }
 }
 
-/// [`Mark`], and afterwards a lie about the length of its output.
+/// [`Mark`], then reports a wrong length of its output.
 unsafe extern "C" fn lie(instance: *mut std::ffi::c_void, call: *mut abi::Call) -> abi::Status {
     const HONEST: abi::NodeType = NodeTypeOf::<Mark>::NODE_TYPE;
     let Some(process) = HONEST.process else { return abi::STATUS_INVALID };

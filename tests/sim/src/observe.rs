@@ -1,4 +1,4 @@
-//! What the simulated nodes saw and did. One world runs at a time, so there is one list.
+//! Records what the simulated nodes saw and did. One world runs at a time, so there is one list.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -8,7 +8,7 @@ use panoscope_sim_world::note;
 use crate::content::Content;
 use crate::harm::Harm;
 
-/// Something that a node saw or did.
+/// An observation of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Seen {
     /// A source made a tick.
@@ -18,7 +18,7 @@ pub enum Seen {
         /// The tick.
         seq: u64,
     },
-    /// A node was called and its inputs are right.
+    /// A node was called with correct inputs.
     Called {
         /// The node.
         node: String,
@@ -26,9 +26,9 @@ pub enum Seen {
         instance: u64,
         /// Number of the call's tick.
         seq: u64,
-        /// What each input said.
+        /// Content of each input.
         inputs: Vec<Content>,
-        /// Calls of this node, its predecessors' included whose state it took over.
+        /// Number of calls of this node, including those of predecessors whose state it loaded.
         count: u64,
     },
     /// An input is wrong.
@@ -38,13 +38,13 @@ pub enum Seen {
         /// What is wrong.
         words: String,
     },
-    /// A node did harm.
+    /// A node misbehaved.
     Harmed {
         /// The node.
         node: String,
-        /// The tick; `None` for harm outside of a tick.
+        /// The tick; `None` outside of a tick.
         seq: Option<u64>,
-        /// What it did.
+        /// Kind of misbehaviour.
         harm: Harm,
     },
     /// A sink wrote a tick.
@@ -65,7 +65,7 @@ pub enum Seen {
     },
 }
 
-/// What nodes of a run share.
+/// State that the nodes of a run share.
 #[derive(Default)]
 struct Run {
     seen: Vec<Seen>,
@@ -79,12 +79,12 @@ fn run() -> MutexGuard<'static, Option<Run>> {
     RUN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Begins a run with an empty list.
+/// Starts a run with an empty list.
 pub fn begin(disk: Disk) {
     *run() = Some(Run { disk, ..Run::default() });
 }
 
-/// Adds to the list and to the trace.
+/// Adds an observation to the list and to the trace.
 pub fn observe(seen: Seen) {
     note(|| format!("{seen:?}"));
     run().get_or_insert_default().seen.push(seen);
@@ -95,13 +95,12 @@ pub fn seen() -> Vec<Seen> {
     run().as_ref().map(|run| run.seen.clone()).unwrap_or_default()
 }
 
-/// Counts what is on the list and fulfils a condition.
+/// Number of observations that fulfil a condition.
 pub fn count(is: impl Fn(&Seen) -> bool) -> usize {
     run().as_ref().map_or(0, |run| run.seen.iter().filter(|seen| is(seen)).count())
 }
 
-/// The number of the tick that a source makes next. Cheaper than a report of the engine, which reads thousands of atomics and lets
-/// other threads run at each.
+/// Number of the next tick of a source. Cheaper than a report of the engine, which reads thousands of atomics and lets other threads run at each.
 pub fn next_tick(source: &str) -> u64 {
     let of = |seen: &Seen| match seen {
         Seen::Made { node, seq } if node == source => Some(seq + 1),
@@ -123,7 +122,7 @@ pub fn next_instance() -> u64 {
     run.instances
 }
 
-/// Held by who runs a world and reads the list afterwards.
+/// Lock held by a test that runs a world and reads the list afterwards.
 pub fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)

@@ -1,4 +1,4 @@
-//! Values of a simulated node: what it does wrong, and when.
+//! Parameters of a simulated node: how it misbehaves, and when.
 
 use std::time::Duration;
 
@@ -8,46 +8,46 @@ use panoscope_sim_world::thread;
 use crate::harm::Harm;
 use crate::observe::{Seen, observe};
 
-/// Values of a simulated node.
+/// Parameters of a simulated node.
 #[derive(Params)]
 pub struct Plan {
     /// Number of the values that change between two ticks.
     #[param(default = 0, range = 0..=65535)]
     pub live: u64,
-    /// Number of the values that open the node again.
+    /// Number of the values that reopen the node.
     #[param(default = 0, range = 0..=65535, reopen)]
     pub reopened: u64,
-    /// What goes wrong.
+    /// Kind of misbehaviour.
     #[param(default = "never")]
     pub harm: Harm,
-    /// First tick that goes wrong.
+    /// First tick with misbehaviour.
     #[param(default = 10, range = 0..=1000000000)]
     pub first: u64,
-    /// How many ticks in a row go wrong.
+    /// Number of consecutive ticks with misbehaviour.
     #[param(default = 1, range = 0..=1000000000)]
     pub ticks: u64,
-    /// How long a call that hangs does not return.
+    /// Duration of a call that hangs.
     #[param(default = 60000.0, range = 0.0..=1000000000.0, unit = "ms")]
     pub hang_ms: f64,
-    /// How long a call takes.
+    /// Duration of a call.
     #[param(default = 0.0, range = 0.0..=100000.0, unit = "ms")]
     pub cost_ms: f64,
-    /// How long opening takes.
+    /// Duration of opening.
     #[param(default = 0.0, range = 0.0..=1000000000.0, unit = "ms", reopen)]
     pub open_ms: f64,
     /// Whether opening fails.
     #[param(default = false, reopen)]
     pub refuses: bool,
-    /// Depth of the parallel loops that write a picture: 0, 1 or 2.
+    /// Nesting depth of the parallel loops that write a frame: 0, 1 or 2.
     #[param(default = 0, range = 0..=2)]
     pub loops: u64,
     /// Time between two ticks of a source.
     #[param(default = 10.0, range = 0.001..=100000.0, unit = "ms")]
     pub period_ms: f64,
-    /// Width of a source's pictures.
+    /// Width of a source's frames.
     #[param(default = 20, range = 1..=1000, unit = "px")]
     pub width_px: u64,
-    /// Height of a source's pictures.
+    /// Height of a source's frames.
     #[param(default = 16, range = 1..=1000, unit = "px")]
     pub height_px: u64,
     /// Capture time of a source's first tick.
@@ -60,24 +60,24 @@ pub struct Plan {
 pub enum Begin {
     /// 0.
     Zero,
-    /// The lowest that is accepted.
+    /// The minimum that is accepted.
     Lowest,
-    /// A little before the highest that is accepted.
+    /// Slightly below the maximum that is accepted.
     Highest,
 }
 
-/// Does not return for a time.
+/// Blocks for a time.
 pub fn wait_ms(ms: f64) {
     thread::sleep(Duration::from_secs_f64(ms / 1e3));
 }
 
 impl Plan {
-    /// Number of the values in a picture.
+    /// Number that identifies the values in a frame.
     pub fn values(&self) -> u32 {
         (self.reopened as u32) << 16 | self.live as u32
     }
 
-    /// What goes wrong at a tick; adds it to what was seen.
+    /// Misbehaviour at a tick; records it.
     pub fn begin_harm(&self, node: &str, seq: u64) -> Harm {
         let harm = if seq >= self.first && seq - self.first < self.ticks { self.harm } else { Harm::Never };
         if harm != Harm::Never {
@@ -86,7 +86,7 @@ impl Plan {
         harm
     }
 
-    /// Harm that does not depend on what the node makes.
+    /// Misbehaves in ways that do not depend on the node's output.
     pub fn suffer(&self, cx: &Context<'_>, harm: Harm) -> Result<()> {
         let (seq, pool) = (cx.tick().seq, cx.pool());
         match harm {
@@ -104,7 +104,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Harm to the frames of others.
+    /// Misuses the frames of others.
     pub fn mishandle(&self, harm: Harm, image: &Image<'_, Gray8>) {
         match harm {
             Harm::Leak => std::mem::forget(image.retain()),
@@ -118,7 +118,7 @@ impl Plan {
         }
     }
 
-    /// A picture gone wrong; `false` when this harm is none of the picture.
+    /// Makes a bad frame; returns `false` when this misbehaviour does not concern the frame.
     pub fn spoil(&self, harm: Harm, out: &mut Slot<'_, AnyFormat>, width: usize, height: usize) -> Result<bool> {
         match harm {
             Harm::Nan | Harm::WrongFormat => {

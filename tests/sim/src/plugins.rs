@@ -1,4 +1,4 @@
-//! The simulated nodes as a plugin that is there without a file.
+//! The simulated nodes as a plugin without a file.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -16,7 +16,7 @@ pub struct Simulated {
     catalog: Catalog,
 }
 
-/// Tells the host's functions which plugin calls them: an address in this program.
+/// Identifies the calling plugin for the host's functions: an address in this program.
 static IDENTITY: u64 = 0;
 
 /// The plugin, attached to the simulated engine.
@@ -52,7 +52,7 @@ pub fn simulated() -> &'static Simulated {
 }
 
 impl Simulated {
-    /// What it offers.
+    /// Its catalog of node types.
     pub fn catalog(&self) -> &Catalog {
         &self.catalog
     }

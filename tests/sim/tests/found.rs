@@ -1,4 +1,4 @@
-//! Defects that the campaign has found, each as the shortest run that shows it.
+//! Defects that the campaign has found, each as the shortest run that reproduces it.
 
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ fn camera(period_ms: f64) -> Node {
     camera
 }
 
-/// Runs a graph and what `script` does with it, then returns what the nodes saw.
+/// Runs a graph while `script` acts on it; returns what the nodes saw.
 fn play(model: Model, seed: u64, script: impl FnOnce(&Engine) + Send + 'static) -> Vec<Seen> {
     let _alone = observe::alone();
     let ended = run(Settings { seed, ..Settings::default() }, move || {
@@ -41,7 +41,7 @@ fn play(model: Model, seed: u64, script: impl FnOnce(&Engine) + Send + 'static) 
     observe::seen()
 }
 
-/// Numbers of the values of node `of` that `by` saw, in the order of the ticks.
+/// Values of node `of` that `by` saw, in the order of the ticks.
 fn values_seen(seen: &[Seen], by: &str, of: &str) -> Vec<u32> {
     let hash = panoscope_sim::content::name_hash(of);
     let mut values: Vec<u32> = seen
@@ -63,7 +63,7 @@ fn marked(trouble: Option<Trouble>) -> Model {
     Model { batch: false, nodes: vec![camera(20.0), mark, Node::new("sink", Kind::Look, &["mark"])] }
 }
 
-/// Both parameters were set, and the second change was computed from the values before the first.
+/// Defect: both parameters were set, and the second change was computed from the values before the first.
 #[test]
 fn a_value_that_is_set_while_a_new_instance_waits_is_not_lost() {
     for seed in 0..20 {
@@ -79,7 +79,7 @@ fn a_value_that_is_set_while_a_new_instance_waits_is_not_lost() {
     }
 }
 
-/// The predecessor did not return from closing; the node was opened again with the values before the change.
+/// Defect: the predecessor did not return from closing, and the node was reopened with the values before the change.
 #[test]
 fn values_stay_when_the_predecessor_does_not_close() {
     let trouble = Trouble {
@@ -101,7 +101,7 @@ fn values_stay_when_the_predecessor_does_not_close() {
     }
 }
 
-/// A tick that waited before the named one met the new graph.
+/// Defect: a tick that waited before the named one met the new graph.
 #[test]
 fn a_change_before_a_tick_is_met_by_no_earlier_one() {
     for seed in 0..20 {
@@ -123,7 +123,7 @@ fn a_change_before_a_tick_is_met_by_no_earlier_one() {
     }
 }
 
-/// Where the system had no thread for a node, the threads that had been started waited for ever.
+/// Defect: if the system had no thread for a node, the threads that had been started waited forever.
 #[test]
 fn a_start_without_enough_threads_leaves_none_behind() {
     let mut refused = 0;
@@ -147,7 +147,7 @@ fn a_start_without_enough_threads_leaves_none_behind() {
     assert!((3..9).contains(&refused), "{refused} of 9 limits are too low");
 }
 
-/// A source hung, there was no thread in its place, and the run never came to its end.
+/// Defect: a source hung, there was no replacement thread, and the run never ended.
 #[test]
 fn a_run_ends_when_there_is_no_thread_in_place_of_one_that_hangs() {
     let trouble =

@@ -1,4 +1,4 @@
-//! The campaign of the simulator, and what makes it worth something: runs repeat exactly, and mistakes in the engine are found.
+//! The simulator's campaign, and checks of the simulator itself: runs repeat exactly, and defects in the engine are found.
 //!
 //! `PANOSCOPE_SIM_CASES` sets how many cases are run (200 without it), `PANOSCOPE_SIM_SEED` the first seed.
 
@@ -11,9 +11,9 @@ use panoscope_sim::check::check;
 use panoscope_sim::drive::{Done, play};
 use panoscope_sim::observe::Seen;
 
-/// Seeds that one process runs: threads of a failed run stay until its process ends.
+/// Number of seeds per process: threads of a failed run stay until its process ends.
 const SEEDS_AT_ONCE: u64 = 50;
-/// Cases within which a mistake in the engine is found.
+/// Maximum number of cases in which a defect in the engine must be found.
 const CASES_FOR_A_MUTATION: u64 = 400;
 
 fn number(variable: &str, default: u64) -> u64 {
@@ -31,7 +31,7 @@ fn text(output: &Output) -> String {
     format!("{out}{err}")
 }
 
-/// Does something with each item, as many at a time as there are processors.
+/// Processes each item, as many at a time as there are processors.
 fn in_parallel<T: Send, R: Send>(items: Vec<T>, work: impl Fn(T) -> R + Sync) -> Vec<R> {
     let jobs = std::thread::available_parallelism().map_or(1, usize::from);
     let (todo, done) = (Mutex::new(items.into_iter().enumerate()), Mutex::new(Vec::new()));
@@ -64,7 +64,7 @@ fn whatever_happens_every_byte_is_right_and_nothing_is_lost() {
     assert!(failed.is_empty(), "{}", failed.join("\n"));
 }
 
-/// What a run consists of, whatever its threads are called.
+/// What must be equal in two runs of a seed, whatever its threads are called.
 fn essence(done: &Done) -> (u64, u64, u64, usize, Vec<Seen>) {
     let ended = &done.ended;
     (ended.trace_hash, ended.decisions, ended.simulated_ns, ended.threads, done.seen.clone())
@@ -129,7 +129,7 @@ fn batch_runs_give_the_same_bytes_in_every_order_also_with_faults() {
     }
 }
 
-/// Seeds beyond those of the suite that once found something.
+/// Seeds that once failed, in addition to those of the suite.
 #[test]
 fn seeds_that_failed_once_pass() {
     let found = [

@@ -1,4 +1,4 @@
-//! What tests of every crate share. Depends on nothing, so that any crate can use it as a dev-dependency.
+//! Shared by the tests of every crate. Depends on nothing, so that any crate can use it as a dev-dependency.
 
 #![forbid(unsafe_code)]
 
@@ -32,14 +32,14 @@ pub fn report_skip(reason: Arguments<'_>) {
     let _ = writeln!(std::io::stderr(), "skipped: {test}: {reason}");
 }
 
-/// Gives a program settings and state of its own, in `config` and `state` of a folder: the keys, the audit log and the latches of who runs the
-/// tests do not count, and are not changed. Every test that starts a program that may write them calls it.
+/// Gives a program separate settings and state, in `config` and `state` of a folder: the user's keys, audit log and latches are neither used nor
+/// changed. Every test that starts a program that may write them calls it.
 pub fn own_settings(command: &mut Command, folder: &Path) {
     command.env("XDG_CONFIG_HOME", folder.join("config")).env("XDG_STATE_HOME", folder.join("state"));
 }
 
-/// Makes `file` unless it is there and newer than all `sources`. Each test has a process of its own, so several may need it at the same time: one
-/// makes it, the others wait. `make` writes to the path that it is given, which becomes `file` when it is whole.
+/// Makes `file` unless it exists and is newer than all `sources`. Each test has its own process, so several may need it at the same time: one makes
+/// it, the others wait. `make` writes to the path that it is given, which becomes `file` when it is complete.
 ///
 /// # Panics
 /// `make` panics, or the folder of `file` cannot be written.
@@ -62,12 +62,12 @@ pub fn made_once(file: &Path, sources: &[&Path], make: impl FnOnce(&Path)) {
     }
 }
 
-/// A fresh folder for the files of one test, removed at the end.
+/// A new folder for the files of one test, removed when dropped.
 #[derive(Debug)]
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// A folder whose name holds `name` and the process, with these files: name and text, folders in the name are made.
+    /// A folder whose name contains `name` and the process id, with these files: name and text. Folders in a name are created.
     ///
     /// # Panics
     /// Temporary files cannot be written.
@@ -79,7 +79,7 @@ impl Folder {
         folder
     }
 
-    /// Where it is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -89,7 +89,7 @@ impl Folder {
         self.0.join(file)
     }
 
-    /// Writes a file in one step, as editors do.
+    /// Replaces a file in one step, as editors do.
     ///
     /// # Panics
     /// Temporary files cannot be written.

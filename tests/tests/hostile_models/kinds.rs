@@ -5,7 +5,7 @@ use super::onnx::{
     literal_value, model, node, opset, tensor, tensor_attribute, value,
 };
 
-/// A file and what is wrong with it.
+/// A file and a description of its damage.
 pub struct Kind {
     pub name: String,
     pub bytes: Vec<u8>,
@@ -24,7 +24,7 @@ impl Kinds {
     }
 }
 
-/// Files that a model of the kind `external` may ask for; the test makes the link, the pipe and the folder.
+/// Files that a model of the kind `external` may name; the test creates the link, the pipe and the folder.
 pub const LINK: &str = "link.bin";
 pub const PIPE: &str = "pipe.bin";
 pub const FOLDER: &str = "folder";

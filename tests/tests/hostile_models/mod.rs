@@ -1,5 +1,5 @@
-//! 200 kinds of broken and hostile ONNX files, each tried as a run tries a foreign model: in a process of its own. Every one is refused or opened
-//! within a second; none ends the program, and every refusal names its file or how the process ended.
+//! 200 kinds of broken and hostile ONNX files, each opened as a run opens a foreign model: in a separate process. Every one is refused or opened
+//! within a second; none crashes the program, and every refusal names its file or how the process ended.
 
 mod kinds;
 mod onnx;
@@ -16,9 +16,9 @@ use panoscope_tests::{load, scratch};
 use kinds::{FOLDER, Kind, LINK, PIPE};
 use onnx::Parts;
 
-/// Time of one file beyond that of a healthy one.
+/// Time limit of a file in addition to the time of a healthy one.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Kinds that kept ONNX Runtime busy for longer, quadratically or without end, if it had them: each is refused before, for what there is too much of.
+/// Kinds that keep ONNX Runtime busy for longer, quadratically or without end: each must be refused before, with the limit that it exceeds.
 const TOO_MUCH: [(&str, &str); 7] = [
     ("20,000 nodes in a chain", "values from its constants"),
     ("20,000 nodes side by side", "values from its constants"),
@@ -28,7 +28,7 @@ const TOO_MUCH: [(&str, &str); 7] = [
     ("a list doubled 40 times", "values from its constants"),
     ("a loop without end", "a loop that nothing ends"),
 ];
-/// Processes at once.
+/// Number of processes at a time.
 const AT_ONCE: usize = 2;
 
 fn write(folder: &Path, bytes: &[u8]) -> PathBuf {

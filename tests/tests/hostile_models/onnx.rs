@@ -58,7 +58,7 @@ pub fn value(name: &str, kind: i64, dims: &[i64]) -> Message {
     typed(name, kind, &shape)
 }
 
-/// As [`value`], with dimensions as they are, negative ones too.
+/// As [`value`], with unchanged dimensions, including negative ones.
 pub fn literal_value(name: &str, kind: i64, dims: &[i64]) -> Message {
     let shape = dims.iter().fold(Message::default(), |m, &dim| m.message(1, &Message::default().int(1, dim)));
     typed(name, kind, &shape)
@@ -119,7 +119,7 @@ pub fn model(graph: &Message) -> Message {
     Message::default().int(1, 8).message(7, graph).message(8, &opset("", 13))
 }
 
-/// The output of a detector of 80 classes on a picture of 64 x 64 px.
+/// Shape of the output of a detector of 80 classes on an image of 64 x 64 px.
 pub const DETECTED: [i64; 3] = [1, 84, 84];
 const PICTURE: [i64; 4] = [1, 3, 64, 64];
 
@@ -133,7 +133,7 @@ pub struct Parts {
 }
 
 impl Parts {
-    /// A detector that always answers the tensor `held`.
+    /// A detector that always outputs the tensor `held`.
     pub fn healthy() -> Self {
         Self {
             nodes: vec![node("Identity", &["held"], &["output0"])],
@@ -166,7 +166,7 @@ impl Parts {
         self
     }
 
-    /// More nodes before the last one; their results are added to the answer so that no optimizer drops them.
+    /// Inserts nodes before the last one; their results are added to the output so that no optimizer drops them.
     pub fn with(mut self, nodes: Vec<Message>, tensors: Vec<Message>, result: &str) -> Self {
         let mut all = nodes;
         all.push(node("ReduceSum", &[result], &["sum_of_all"]).message(5, &int_attribute("keepdims", 0)));

@@ -1,7 +1,7 @@
-//! Parts of the runtime under a scheduler that tries thousands of orders (`shuttle`, after Burckhardt et al., "A randomized scheduler with
-//! probabilistic guarantees of finding bugs", 2010): frame pool, parameter snapshot, region, abandoned calls, join, thread pool, threads that
-//! leave, live changes. `build.rs` lays their sources out with its locks, atomics and threads; nothing else in them is changed. It also lays them
-//! out with one mistake each, which a model of that part must find.
+//! Parts of the runtime under a scheduler that explores thousands of interleavings (`shuttle`, after Burckhardt et al., "A randomized scheduler with
+//! probabilistic guarantees of finding bugs", 2010): frame pool, parameter snapshot, region, abandoned calls, join, thread pool, threads that leave,
+//! live changes. `build.rs` prepares their sources with the scheduler's locks, atomics and threads; nothing else in them is changed. It also prepares
+//! variants with one defect each, which a model of that part must find.
 #![allow(dead_code, missing_docs, unreachable_pub, unused_imports, private_interfaces)]
 #![allow(clippy::undocumented_unsafe_blocks, clippy::duplicate_mod, clippy::module_inception)]
 
@@ -15,19 +15,19 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use shuttle::scheduler::PctScheduler;
 use shuttle::{Config, FailurePersistence, Runner};
 
-/// Orders that are tried; half a second to some seconds each.
+/// Number of interleavings that are tried; takes half a second to some seconds each.
 const ORDERS: usize = 2_000;
-/// Orders in which a mistake must be found.
+/// Maximum number of interleavings in which a defect must be found.
 const MAX_ORDERS: usize = 20_000;
-/// Preemptions that an order may need to show a mistake.
+/// Number of preemptions that an interleaving may need to show a defect.
 const DEPTH: usize = 3;
 
-/// A model holds in every order that is tried.
+/// Checks that a model holds in every interleaving that is tried.
 fn holds(model: fn()) {
     shuttle::check_pct(model, ORDERS, DEPTH);
 }
 
-/// Whether a model fails in one of the orders.
+/// Whether a model fails in one of the interleavings.
 fn fails(model: fn()) -> bool {
     let mut config = Config::new();
     config.failure_persistence = FailurePersistence::None;

@@ -1,4 +1,4 @@
-/// The model has private memory only.
+/// The model has only private memory.
 mod domain {
     use super::Backing;
 
@@ -19,7 +19,7 @@ mod domain {
 }
 
 impl Memory {
-    /// A memory of its own for every order that is tried.
+    /// A separate memory for every interleaving that is tried.
     pub fn fresh(limit_bytes: i64) -> Self {
         Memory {
             pools: [const { OnceLock::new() }; MAX_POOLS],

@@ -1,4 +1,4 @@
-//! What stands in for `std::sync` and `std::thread` in the sources under test.
+//! Replacements for `std::sync` and `std::thread` in the sources under test.
 
 use std::cell::{Cell, RefCell};
 
@@ -14,7 +14,7 @@ pub mod hint {
     pub use shuttle::thread::yield_now as spin_loop;
 }
 
-/// Threads of the scheduler, with what it lacks.
+/// Threads of the scheduler, with the functions that it lacks.
 pub mod thread {
     use std::cell::Cell;
     use std::time::Duration;
@@ -24,7 +24,7 @@ pub mod thread {
     pub use shuttle::thread::{Thread, current, park, yield_now};
 
     thread_local! {
-        /// Threads that were started here and have not ended. All threads of a model share the system's thread.
+        /// Number of threads that were started here and have not ended. All threads of a model share the system's thread.
         static RUNNING: Cell<usize> = const { Cell::new(0) };
     }
 
@@ -35,12 +35,12 @@ pub mod thread {
         }
     }
 
-    /// Forgets threads of an order that failed.
+    /// Drops the threads of an interleaving that failed.
     pub fn begin() {
         RUNNING.set(0);
     }
 
-    /// Sets a flag when it goes, also when the thread panics.
+    /// Sets a flag when dropped, also when the thread panics.
     struct Ends(Arc<AtomicBool>);
 
     impl Drop for Ends {
@@ -101,12 +101,12 @@ pub mod thread {
         }
     }
 
-    /// There is no time: another thread runs.
+    /// There is no time: lets another thread run.
     pub fn sleep(_: Duration) {
         yield_now();
     }
 
-    /// There is no time: it may end at once, as the real one may.
+    /// There is no time: may return at once, as the real one may.
     pub fn park_timeout(_: Duration) {
         yield_now();
     }

@@ -1,13 +1,13 @@
-//! Neighbours of the sources under test that the models do not need.
+//! Stubs of the neighbours of the sources under test.
 
-/// Time stands still.
+/// Clock that does not advance.
 pub mod clock {
     pub fn now_ns() -> u64 {
         1
     }
 }
 
-/// No crash is reported.
+/// Reports no crash.
 pub mod current_node {
     #[derive(Clone, Copy)]
     pub struct CurrentWork;
@@ -21,7 +21,7 @@ pub mod current_node {
     }
 }
 
-/// Nothing is replayed.
+/// Replays nothing.
 pub mod decide {
     use panoscope_abi::Tick;
 
@@ -35,7 +35,7 @@ pub mod outbox {
     pub use panoscope_engine::panic_words;
 }
 
-/// No frame is retained.
+/// Retains no frame.
 pub mod retained {
     #[derive(Clone, Copy)]
     pub struct Scope;

@@ -322,7 +322,7 @@ fn state_and_previews_survive_a_rebuilt_plugin_and_broken_ones_are_refused() {
     until("the old one runs on", || live.engine().report().nodes["sink"].count > seen + 5);
 
     // A rebuild: the same but for a text.
-    let (old, new) = (b"Forwards pictures without a copy.", b"Forwards pictures, newly compiled");
+    let (old, new) = (b"Forwards frames without a copy.", b"Forwards frames, newly compiled");
     let mut rebuilt = whole.clone();
     let at = rebuilt.windows(old.len()).position(|w| w == old).expect("the text of `pass`");
     rebuilt[at..at + new.len()].copy_from_slice(new);

@@ -1,6 +1,6 @@
-//! Arranges images on a screen: the main one as large as possible, the others in a column next to it and a row below it.
+//! Arrangement of the images on a screen: the main one as large as possible, the others in a column next to it and a row below it.
 
-/// A rectangle of the screen, px.
+/// A rectangle on the screen, px.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cell {
     /// Left edge.
@@ -19,45 +19,45 @@ impl Cell {
     }
 }
 
-/// A screen to be filled, px.
+/// A screen to fill, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
     /// Width.
     pub width: usize,
     /// Height.
     pub height: usize,
-    /// Margin around pictures.
+    /// Margin around images.
     pub gap: usize,
     /// Width of the column as a share of the screen's; 0 finds the best arrangement.
     pub side_share: f32,
 }
 
-/// Smallest width of a smaller picture as a share of the screen's; many pictures share the second.
+/// Minimum width of a smaller image as a share of the screen's; the second value applies to many images.
 const MIN_SIDE_SHARE: f64 = 0.16;
 const SIDE_SHARES: f64 = 0.72;
-/// Smallest area of the main picture and largest area that nothing covers, as shares of the screen's.
+/// Minimum area of the main image and maximum uncovered area, as shares of the screen's.
 const MAIN_SHARE: f64 = 0.605;
 const DEAD_SHARE: f64 = 0.075;
-/// How much an arrangement loses by a picture that is narrower, a main picture that is smaller, and an empty area that is larger than these shares, and
-/// how much more an area of the main picture counts than one of the others.
+/// Penalties of an arrangement for a smaller image that is narrower, a main image that is smaller, and an uncovered area that is larger than these
+/// shares; and the weight of the main image's area relative to the others.
 const NARROW: f64 = 40.0;
 const SMALL: f64 = 20.0;
 const DEAD: f64 = 4.0;
 const IMPORTANCE: f64 = 1.5;
-/// How much it loses by smaller pictures on both sides of the main one.
+/// Penalty for smaller images on both sides of the main one.
 const SCATTERED: f64 = 0.05;
-/// Widths of the main picture that are tried.
+/// Number of widths of the main image that are tried.
 const STEPS: usize = 96;
 
-/// Width by height of a picture.
+/// Width by height of an image.
 pub type Size = (usize, usize);
 
-/// What stands in a cell.
+/// Content of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tile {
-    /// Proportions of the picture.
+    /// Size that gives the proportions of the image.
     pub size: Size,
-    /// Height of the strip below it for its title, px; 0 without one.
+    /// Height of the strip below it for its title, px; 0 without a title.
     pub caption: usize,
 }
 
@@ -70,7 +70,7 @@ struct Area {
     height: f64,
 }
 
-/// One or more pictures that fill a rectangle up to the margins between them: its height is `slope` times its width and `offset`.
+/// One or more images that fill a rectangle except for the margins between them: its height is `slope` times its width plus `offset`.
 #[derive(Clone, Copy, Debug)]
 struct Block {
     slope: f64,
@@ -83,7 +83,7 @@ impl Block {
         Self { slope: height / width, offset: tile.caption as f64 }
     }
 
-    /// Blocks of one width, each below the one before.
+    /// Stacks blocks of one width vertically.
     fn stack(blocks: impl Iterator<Item = Self>, gap: f64) -> Self {
         let below = |above: Self, next: Self| Self {
             slope: above.slope + next.slope,
@@ -92,12 +92,12 @@ impl Block {
         blocks.fold(Self { slope: 0.0, offset: -gap }, below)
     }
 
-    /// Blocks of one height, next to each other.
+    /// Puts blocks of one height next to each other.
     fn row(blocks: impl Iterator<Item = Self>, gap: f64) -> Self {
         Self::stack(blocks.map(Self::turned), gap).turned()
     }
 
-    /// Width in place of height.
+    /// Exchanges width and height.
     fn turned(self) -> Self {
         Self { slope: 1.0 / self.slope, offset: -self.offset / self.slope }
     }
@@ -110,14 +110,14 @@ impl Block {
         ((height - self.offset) / self.slope).max(0.0)
     }
 
-    /// Largest size inside an area.
+    /// Maximum size inside an area.
     fn fit(self, (width, height): (f64, f64)) -> (f64, f64) {
         let width = self.width(height).min(width.max(0.0));
         (width, if width > 0.0 { self.height(width) } else { 0.0 })
     }
 }
 
-/// How pictures share an area: in rows or in columns, the first with `first` pictures, each other one with up to `others`.
+/// How images share an area: in rows or in columns, the first line with `first` images, each other one with up to `others`.
 #[derive(Clone, Copy, Debug)]
 struct Lines {
     are_columns: bool,
@@ -128,7 +128,7 @@ struct Lines {
 impl Lines {
     const STACK: Self = Self { are_columns: false, first: 1, others: 1 };
 
-    /// Every way for `count` pictures.
+    /// All divisions of `count` images into lines.
     fn all(count: usize) -> impl Iterator<Item = Self> {
         let counts = (1..=count).flat_map(move |first| (1..=(count - first).max(1)).map(move |others| (first, others)));
         counts.flat_map(|(first, others)| [false, true].map(|are_columns| Self { are_columns, first, others }))
@@ -150,7 +150,7 @@ impl Lines {
         if self.are_columns { Block::row(lines, gap) } else { Block::stack(lines, gap) }
     }
 
-    /// The areas of the pictures, whose block fills `area`.
+    /// Areas of the images, whose block fills `area`.
     fn place(self, tiles: &[Tile], area: Area, gap: f64, mut put: impl FnMut(Area)) {
         let (mut x, mut y) = (area.x, area.y);
         for line in self.split(tiles) {
@@ -178,7 +178,7 @@ impl Lines {
     }
 }
 
-/// Pictures and the size that they take.
+/// Images and their total size.
 struct Group<'t> {
     tiles: &'t [Tile],
     lines: Lines,
@@ -192,7 +192,7 @@ impl<'t> Group<'t> {
         Self { tiles, lines, width, height }
     }
 
-    /// The lines in which the pictures cover most of an area.
+    /// The lines in which the images cover most of an area.
     fn best(frame: &Frame, tiles: &'t [Tile], room: (f64, f64), min_px: f64) -> Self {
         let gap = frame.gap as f64;
         let groups = Lines::all(tiles.len()).map(|lines| Self::new(tiles, lines, room, gap));
@@ -214,20 +214,19 @@ impl<'t> Group<'t> {
     }
 }
 
-/// An arrangement.
+/// A candidate arrangement.
 #[derive(Clone, Copy)]
 struct Plan {
-    /// Width of the main picture, px.
+    /// Width of the main image, px.
     main_px: f64,
-    /// Number of pictures in the column; the others stand in the row.
+    /// Number of images in the column; the others are in the row.
     in_column: usize,
-    /// Whether the column is as high as the screen, beside the main picture and the row; else the row is as wide as the screen.
+    /// Whether the column has the height of the screen, next to the main image and the row; otherwise the row has the width of the screen.
     is_column_whole: bool,
 }
 
-/// The cells of the main picture and of the smaller ones, each with its picture's proportions above a strip for its title, inside the frame and
-/// apart from each other.
-/// Earlier pictures come first: in the column, then in the row.
+/// Cells of the main image and of the smaller ones, inside the frame and not overlapping. Each has its image's proportions above a strip for its
+/// title. Earlier images come first: in the column, then in the row.
 fn arrange(frame: &Frame, main: Tile, sides: &[Tile], cells: &mut Vec<Cell>) {
     let room = frame.room();
     let given = (frame.side_share > 0.0 && !sides.is_empty())
@@ -369,22 +368,22 @@ impl Frame {
         (inside(self.width), inside(self.height))
     }
 
-    /// Share of the screen.
+    /// An area as a share of the screen.
     fn share(&self, area_px: f64) -> f64 {
         area_px / (self.width * self.height).max(1) as f64
     }
 
-    /// Least width of each of so many smaller pictures.
+    /// Minimum width of each of `count` smaller images.
     fn min_side_px(&self, count: usize) -> f64 {
         MIN_SIDE_SHARE.min(SIDE_SHARES / count.max(1) as f64) * self.width as f64
     }
 
-    /// What a smaller picture is worth: its area. One that is too narrow is worth less.
+    /// Value of a smaller image: its area, reduced if it is too narrow.
     fn worth(&self, width: f64, height: f64, min_px: f64) -> f64 {
         self.share(width * height) - NARROW * (min_px - width).max(0.0) / self.width.max(1) as f64
     }
 
-    /// What an arrangement is worth.
+    /// Value of an arrangement.
     fn score(&self, cells: &[Cell]) -> f64 {
         let Some((main, sides)) = cells.split_first() else { return 0.0 };
         let (main, min_px) = (self.share(main.area()), self.min_side_px(sides.len()));
@@ -393,7 +392,7 @@ impl Frame {
         IMPORTANCE * main + worth - SMALL * (MAIN_SHARE - main).max(0.0) - DEAD * (dead - DEAD_SHARE).max(0.0)
     }
 
-    /// A cell in whole px; what leaves the screen is cut.
+    /// Rounds a cell to integer px and clips it to the screen.
     fn cell(&self, Area { x, y, width, height }: Area) -> Cell {
         // A hair more: quotients of whole numbers lose nothing by rounding.
         let px = |v: f64| (v + 0.01) as usize;
@@ -428,13 +427,13 @@ mod tests {
         cells
     }
 
-    /// Shares of the screen: of the main cell, and of all.
+    /// Shares of the screen: of the main cell, and of all cells.
     fn shares(frame: &Frame, cells: &[Cell]) -> (f64, f64) {
         let whole = (frame.width * frame.height) as f64;
         (cells[0].area() / whole, cells.iter().map(Cell::area).sum::<f64>() / whole)
     }
 
-    /// Pictures of the surgeon's screen for views of a size: panorama and instruments with a bar of words, surface and depth with titles.
+    /// Images of the surgeon's screen for views of a size: panorama and instruments with a bar of text, surface and depth with titles.
     fn surgeon(frame: &Frame, (width, height): Size, wider: f64) -> (Tile, [Tile; 3]) {
         let caption = frame.height / 30;
         let main = tile(((width as f64 * wider) as usize, height + height / 16), 0);
@@ -446,9 +445,9 @@ mod tests {
         (main, sides)
     }
 
-    /// The largest area of the main picture, and the largest of all with three fifths for the main one (or its largest area), that any arrangement can
-    /// have. A picture that does not overlap the main one is wholly beside it or wholly above or below it: so it fits into the width or into the height
-    /// that the main one leaves, whatever the place of both.
+    /// Upper bounds over all arrangements: the area of the main image, and the total area with three fifths for the main one (or its maximum). An
+    /// image that does not overlap the main one is either next to it or above or below it, so it fits into the width or the height that the main one
+    /// leaves, wherever both are.
     fn bounds(frame: &Frame, main: &Tile, sides: &[Tile]) -> (f64, f64) {
         let ((width, height), gap) = (frame.room(), frame.gap as f64);
         let largest = Block::of(main).fit((width, height));
@@ -489,8 +488,8 @@ mod tests {
         }
     }
 
-    /// Largest share of the screen that three pictures can cover beside a main one of at least three fifths, none of them narrower than allowed: all
-    /// below each other, each as wide as it may be, or two of them side by side and one above or below.
+    /// Upper bound on the share of the screen that three images can cover next to a main one of at least three fifths, none narrower than allowed:
+    /// all below each other at their maximum width, or two side by side and one above or below.
     fn most_beside(frame: &Frame, main: &Tile, sides: &[Tile; 3]) -> f64 {
         let ((width, height), gap, min_px) = (frame.room(), frame.gap as f64, frame.min_side_px(3));
         let blocks = sides.each_ref().map(Block::of);

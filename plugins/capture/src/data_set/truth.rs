@@ -1,4 +1,4 @@
-//! True disparity and depth of the left rectified view, from whatever the data set states.
+//! Disparity and depth of the left rectified view, converted from what the data set provides.
 
 use panoscope_data::calibration::packet;
 use panoscope_data::data_sets::{Holds, Sequence, Truth};
@@ -7,32 +7,36 @@ use panoscope_imaging::stereo::{FloatImage, Rectification};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{Depth, Disparity, NodeError, Result, Slot, error};
 
-/// Why an output of the truth stays empty, in words; `None` when it does not.
+/// Why an output of the ground truth stays empty, as text; `None` when it does not.
 pub(super) fn lacks(sequence: &Sequence, output: &str) -> Option<&'static str> {
     if sequence.calibration.is_some() {
         return None;
     }
     match (sequence.truth.as_ref()?.holds, output) {
-        (Holds::Disparity, "depth") => Some("it takes a calibration to turn disparity into depth, and there is none"),
-        (Holds::Depth, "disparity") => Some("it takes a calibration to turn depth into disparity, and there is none"),
+        (Holds::Disparity, "depth") => {
+            Some("a calibration is needed to convert disparity to depth, and the sequence has none")
+        }
+        (Holds::Depth, "disparity") => {
+            Some("a calibration is needed to convert depth to disparity, and the sequence has none")
+        }
         (Holds::Points | Holds::StackedPoints, _) => {
-            Some("it takes a calibration to move points into the view, and there is none")
+            Some("a calibration is needed to project points into the view, and the sequence has none")
         }
         _ => None,
     }
 }
 
-/// The maps of one picture, and the rectification that they are meant for.
+/// Maps of one image, and the rectification that they refer to.
 #[derive(Default)]
 pub(super) struct TruthMaps {
-    /// The packet that was read, and the same with its rectification.
+    /// The calibration packet that was read last, with and without its rectification.
     known: Option<(Calibration, Calibration, Rectification)>,
     disparity: Option<FloatImage>,
     depth: Option<FloatImage>,
 }
 
 impl TruthMaps {
-    /// The packet with the rectification that a `rectify` node will use stated in it.
+    /// The packet completed with the rectification that a `rectify` node will use.
     pub fn with_rectification(&mut self, calibration: Calibration) -> Result<Calibration> {
         if let Some((_, stated, _)) = self.known.as_ref().filter(|(known, ..)| packet::same(known, &calibration)) {
             return Ok(*stated);
@@ -46,10 +50,10 @@ impl TruthMaps {
         Ok(stated)
     }
 
-    /// Reads the truth of a picture of `size`; `read` says which of disparity and depth somebody wants.
+    /// Reads the ground truth of an image of `size`. `read`: which of disparity and depth are read by other nodes.
     ///
     /// # Errors
-    /// A file that is damaged or of another size.
+    /// A file is damaged or of another size.
     pub fn prepare(
         &mut self,
         truth: &Truth,
@@ -70,7 +74,7 @@ impl TruthMaps {
                 return Ok(());
             }
             Err(error!(
-                "{} is {width}x{height}, its picture {}x{}: truth must have the pictures' size",
+                "{} is {width}x{height}, but its image is {}x{}: give ground truth of the size of the images",
                 file.display(),
                 size.0,
                 size.1
@@ -98,10 +102,10 @@ impl TruthMaps {
         Ok(())
     }
 
-    /// Sets the outputs.
+    /// Writes the outputs.
     ///
     /// # Errors
-    /// No frame memory is left.
+    /// The host has no frame memory left.
     pub fn write(&self, disparity: &mut Slot<'_, Disparity>, depth: &mut Slot<'_, Depth>) -> Result<()> {
         if let Some(map) = self.disparity.as_ref().filter(|_| disparity.is_read()) {
             disparity.alloc(map.width, map.height)?.data.copy_from_slice(&map.data);

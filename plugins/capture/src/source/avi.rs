@@ -1,13 +1,13 @@
-//! The number of frames in the header of an AVI. GStreamer counts those that are there, which hides that a file is cut off.
+//! The number of frames in the header of an AVI file. GStreamer counts the frames that are present, which hides a truncated file.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// Bytes in which the header stands.
+/// Size of the part of the file that contains the header, bytes.
 const HEADER_BYTES: u64 = 4096;
 
-/// Frames that the header of an AVI announces; `None` for other files.
+/// Number of frames that the header of an AVI file announces; `None` for other files.
 pub fn frames(path: &Path) -> Option<u64> {
     let mut bytes = Vec::new();
     File::open(path).ok()?.take(HEADER_BYTES).read_to_end(&mut bytes).ok()?;

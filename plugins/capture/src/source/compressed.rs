@@ -10,10 +10,10 @@ use super::error::PictureError;
 use super::picture::{Picture, Samples};
 use super::plain::bgr_of_rgb;
 
-/// Decodes a PNG or an EXR, or a JPEG that is known to be whole.
+/// Decodes a PNG or an EXR, or a JPEG that is known to be complete.
 ///
 /// # Errors
-/// A picture that is damaged.
+/// The image is damaged.
 pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, PictureError> {
     let decoded = || {
         let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder()?;
@@ -51,7 +51,7 @@ pub fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, Pictu
 /// Decodes a JPEG, or a frame of a Motion JPEG, which may lack the standard Huffman tables.
 ///
 /// # Errors
-/// A JPEG that is damaged or not whole.
+/// The JPEG is damaged or truncated.
 pub fn decode_jpeg(bytes: &[u8]) -> Result<Picture, PictureError> {
     decode(&jpeg::whole(bytes)?, image::ImageFormat::Jpeg)
 }
@@ -60,7 +60,7 @@ pub fn decode_jpeg(bytes: &[u8]) -> Result<Picture, PictureError> {
 mod tests {
     use super::*;
 
-    /// A chunk of a PNG.
+    /// Makes a chunk of a PNG.
     fn chunk(name: &[u8; 4], data: &[u8]) -> Vec<u8> {
         let body = [&name[..], data].concat();
         let crc = !body.iter().fold(!0_u32, |crc, byte| {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::demands::Lock;
 
-/// `struct v4l2_control`.
+/// Layout of `struct v4l2_control`.
 #[repr(C)]
 struct Control {
     id: u32,
@@ -25,7 +25,7 @@ const EXPOSURE_ABSOLUTE: u32 = 0x009A_0902;
 /// `V4L2_EXPOSURE_MANUAL`.
 const MANUAL: i32 = 1;
 
-/// The controls of a device, which may be open elsewhere.
+/// The controls of a device. Another program or stream may have the device open.
 pub struct Controls(File);
 
 impl Controls {
@@ -48,7 +48,7 @@ impl Controls {
         self.call(SET, &mut Control { id, value })
     }
 
-    /// Values that the automatics have set.
+    /// Values that the automatic controls have chosen.
     pub fn automatic_values(&self) -> Lock {
         let gain = self.get(GAIN).unwrap_or(0.0);
         Lock {
@@ -57,7 +57,7 @@ impl Controls {
         }
     }
 
-    /// Switches the automatics off and sets `lock`. Returns whether the driver accepted all values.
+    /// Switches the automatic controls off and sets `lock`. Returns whether the driver accepted all values.
     pub fn apply(&self, lock: Lock) -> bool {
         let mut is_accepted = true;
         if let Some((exposure, gain)) = lock.exposure {

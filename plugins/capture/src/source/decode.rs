@@ -1,4 +1,4 @@
-//! Decodes image files to pictures.
+//! Decodes image files.
 
 use std::fs;
 use std::io::Cursor;
@@ -17,13 +17,13 @@ use super::frames::Frames;
 use super::picture::{Picture, Samples};
 use super::plain;
 
-/// Longest that GStreamer may take for a file.
+/// Time limit for a file that GStreamer decodes.
 const LIMIT: Duration = Duration::from_secs(10);
 
-/// Reads an image file as BGR. A file that ends too early is an error, never a picture with old or gray parts.
+/// Reads an image file as BGR. A truncated file is an error, never an image with old or gray parts.
 ///
 /// # Errors
-/// What is wrong with the file.
+/// The file cannot be read or decoded.
 pub fn read(path: &Path) -> Result<Picture, PictureError> {
     let bytes = fs::read(path).map_err(|cause| PictureError::Read { cause })?;
     if bytes.is_empty() {
@@ -32,10 +32,10 @@ pub fn read(path: &Path) -> Result<Picture, PictureError> {
     decode_picture(&bytes).unwrap_or_else(|| decode_other(path))
 }
 
-/// Decodes a picture in memory as BGR; `None` for formats that GStreamer decodes, from a file.
+/// Decodes an image in memory as BGR; `None` for formats that GStreamer decodes from a file.
 ///
 /// # Errors
-/// What is wrong with the bytes.
+/// The bytes are damaged or of an unsupported format.
 pub fn decode_picture(bytes: &[u8]) -> Option<Result<Picture, PictureError>> {
     Some(match image::guess_format(bytes) {
         Ok(image::ImageFormat::Jpeg) => decode_jpeg(bytes),
@@ -49,9 +49,9 @@ pub fn decode_picture(bytes: &[u8]) -> Option<Result<Picture, PictureError>> {
     })
 }
 
-/// Number of pages of a TIFF, smaller copies of another page not counted.
+/// Number of pages of a TIFF, without reduced copies of other pages.
 fn pages(decoder: &mut tiff::decoder::Decoder<Cursor<&[u8]>>) -> Result<usize, tiff::TiffError> {
-    /// Bit of the tag that marks a smaller copy.
+    /// Bit of `NewSubfileType` that marks a reduced copy.
     const REDUCED: u32 = 1;
     let mut count = 0;
     loop {
@@ -65,7 +65,7 @@ fn pages(decoder: &mut tiff::decoder::Decoder<Cursor<&[u8]>>) -> Result<usize, t
     }
 }
 
-/// Decodes a TIFF with one page of 8 or 16 bits without sign, or of floats.
+/// Decodes a TIFF with one page, of unsigned 8 or 16 bits or of floats.
 fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
     let damaged = |cause: tiff::TiffError| match cause {
         tiff::TiffError::UnsupportedError(kind) => PictureError::Unsupported { format: format!("TIFF, {kind}") },
@@ -122,7 +122,7 @@ fn decode_tiff(bytes: &[u8]) -> Result<Picture, PictureError> {
     if is_whole { Ok(picture) } else { Err(PictureError::Incomplete) }
 }
 
-/// Decodes formats that only GStreamer knows.
+/// Decodes formats that only GStreamer supports.
 fn decode_other(path: &Path) -> Result<Picture, PictureError> {
     let name = InputName::File(path.to_owned());
     let options = InputOptions { mode: CameraMode::default(), is_lossless: true, capacity: 1, limit: LIMIT };

@@ -1,24 +1,24 @@
-//! What a source is asked for, and what a grab returns.
+//! Requests to a source, and the result of a grab.
 
 use std::time::Duration;
 
 /// Reads the host's monotonic clock, ns.
 pub type Clock<'c> = &'c dyn Fn() -> i64;
 
-/// Mode asked of a device, 0 leaves its own; time limits; and whether pictures may be dropped.
+/// Requested mode of a device (0 keeps its own), time limits, and whether frames may be dropped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Demands {
-    /// Columns in px.
+    /// Width, px.
     pub width: u32,
-    /// Rows in px.
+    /// Height, px.
     pub height: u32,
     /// Frames per second.
     pub fps: f64,
-    /// Longest time that opening may take.
+    /// Time limit for opening.
     pub open_limit: Duration,
     /// A live source without data for this long is lost.
     pub silence_limit: Duration,
-    /// No picture of a live source is dropped either.
+    /// Whether no frame may be dropped, not even of a live source.
     pub is_lossless: bool,
 }
 
@@ -34,12 +34,12 @@ pub struct Lock {
 /// Result of a grab.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Grab {
-    /// A picture waits to be taken. Its arrival, ns of `CLOCK_MONOTONIC`, where the source is live.
+    /// A frame is ready. Its arrival, ns of `CLOCK_MONOTONIC`, if the source is live.
     Ready(Option<i64>),
     /// The source has ended.
     End,
-    /// The source has ended before the announced number of pictures: what is missing, in words.
+    /// The source has ended before the announced number of frames; says what is missing.
     Failed(String),
-    /// The device or stream is gone, and why; it is opened again with growing pauses.
+    /// The device or stream is gone; says why. It is reopened with growing pauses.
     Lost(String),
 }

@@ -1,7 +1,7 @@
-//! Elements that a GStreamer pipeline names, looked up in GStreamer's registry: no pipeline is built and no device touched.
+//! Looks up the elements that a GStreamer pipeline names in GStreamer's registry. No pipeline is built and no device is opened.
 
-/// Names that stand where a pipeline has its elements: the first word behind the start or a `!`. What is not plainly one (caps, pads, bins)
-/// is left out.
+/// Names of the elements of a pipeline: the first word at the start and after each `!`. Anything that is not clearly an element (caps, pads, bins) is
+/// left out.
 pub fn names(pipeline: &str) -> Vec<&str> {
     let (mut quote, mut escaped) = (None, false);
     // A quoted text may hold `!`.
@@ -24,17 +24,17 @@ pub fn names(pipeline: &str) -> Vec<&str> {
     parts.filter_map(|part| part.split_whitespace().next()).filter(is_name).collect()
 }
 
-/// A value of a property as a pipeline's text has it, whatever it holds.
+/// Quotes a value of a property for a pipeline's text, whatever it contains.
 pub fn quoted(value: &str) -> String {
     format!("\"{}\"", value.replace('\\', "\\\\").replace('"', "\\\""))
 }
 
-/// The first of `names` that this machine does not have; `None` also when it is unknown.
+/// The first of `names` that is not installed; `None` also when that is unknown.
 pub fn missing<'t>(names: &[&'t str]) -> Option<&'t str> {
     names.iter().copied().find(|name| panoscope_media::is_installed(name) == Some(false))
 }
 
-/// The first element of a pipeline that this machine does not have; `None` also when it is unknown.
+/// The first element of a pipeline that is not installed; `None` also when that is unknown.
 pub fn unknown_element(pipeline: &str) -> Option<&str> {
     missing(&names(pipeline))
 }

@@ -1,4 +1,4 @@
-//! Samples of a pipeline to pictures. Runs on the pipeline's thread.
+//! Converts samples of a pipeline to frames. Runs on the pipeline's thread.
 
 use std::sync::Arc;
 
@@ -14,8 +14,8 @@ use super::compressed::decode_jpeg;
 use super::error::FrameError;
 use super::picture::{Picture, Samples};
 
-/// Makes pictures of samples: JPEGs are checked and decoded, BGR stays in the decoder's memory, 16-bit gray keeps its depth, and any other format
-/// is converted to BGR.
+/// Converts samples: JPEGs are checked and decoded, BGR stays in the decoder's memory, 16-bit gray keeps its depth, and any other format is converted
+/// to BGR.
 #[derive(Default)]
 pub struct Frames {
     info: Option<VideoInfo>,
@@ -23,7 +23,7 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// The picture of a sample.
+    /// Converts a sample to a frame.
     ///
     /// # Errors
     /// Why it must not be shown.
@@ -35,7 +35,7 @@ impl Frames {
         Ok(picture)
     }
 
-    /// The picture as it is stored.
+    /// Converts a sample without rotating it.
     fn stored(&mut self, received: &Received<'_>) -> Result<Picture, FrameError> {
         if let Some(reason) = &received.damage {
             return Err(FrameError::Damaged { reason: reason.clone() });
@@ -87,8 +87,7 @@ impl Frames {
     }
 }
 
-/// The picture of luma and chroma of 8 bits, whatever their layout; `None` for other formats. GStreamer's converter makes such pictures 2 to 3
-/// levels too dark.
+/// Converts 8-bit luma and chroma of any layout to BGR; `None` for other formats. GStreamer's converter makes such frames 2 to 3 levels too dark.
 fn of_yuv(frame: &VideoFrame<Readable>) -> Option<Picture> {
     let (info, format) = (frame.info(), frame.format_info());
     if !YUV_FORMATS.contains(&format.format().to_str().as_str()) {

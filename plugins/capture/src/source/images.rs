@@ -7,15 +7,15 @@ use super::demands::Grab;
 use super::error::CaptureError;
 use super::picture::Picture;
 
-/// Most memory for decoded images that are shown again, in bytes; further files are read again.
+/// Memory limit for decoded images that are shown repeatedly, bytes. Further files are read each time.
 const RETAINED_BYTES: usize = 256 << 20;
-/// Files that are read to find the bit depth of a series.
+/// Number of files that are read to find the bit depth of a series.
 const PROBES: usize = 5;
 
-/// Image files in order.
+/// Image files in order, and the position in them.
 pub struct Images {
     files: Vec<PathBuf>,
-    /// One file, shown as long as others have pictures.
+    /// One file, shown as long as other views have frames.
     still: bool,
     next: usize,
     grabbed: usize,
@@ -24,33 +24,33 @@ pub struct Images {
 }
 
 impl Images {
-    /// `files` in order; with `is_repeated` decoded images stay in memory.
+    /// Shows `files` in order. With `is_repeated` decoded images stay in memory.
     pub fn new(files: Vec<PathBuf>, is_repeated: bool) -> Self {
         let retained = if is_repeated { vec![None; files.len()] } else { Vec::new() };
         Self { files, still: false, next: 0, grabbed: 0, retained, retained_bytes: 0 }
     }
 
-    /// One file again and again.
+    /// Shows one file repeatedly.
     pub fn still(file: PathBuf) -> Self {
         Self { still: true, ..Self::new(vec![file], true) }
     }
 
-    /// Whether it is one file that has no end of its own.
+    /// Whether it is a single file, which has no end.
     pub fn is_still(&self) -> bool {
         self.still
     }
 
-    /// Number of pictures grabbed: the index of the next one.
+    /// Number of images grabbed: the index of the next one.
     pub fn grabbed(&self) -> u64 {
         self.next as u64
     }
 
-    /// Number of pictures left.
+    /// Number of images left.
     pub fn left(&self) -> u64 {
         self.files.len().saturating_sub(self.next) as u64
     }
 
-    /// Steps to the next file.
+    /// Advances to the next file.
     pub fn grab(&mut self) -> Grab {
         if self.still {
             self.next = 0;
@@ -68,7 +68,7 @@ impl Images {
         self.files.get(self.next).map(PathBuf::as_path)
     }
 
-    /// Continues at `file`, or at index `next` when that file no longer exists.
+    /// Continues at `file`, or at index `next` if that file no longer exists.
     pub fn go_to(&mut self, file: Option<&Path>, next: u64) {
         let here = file.and_then(|file| self.files.iter().position(|path| path == file));
         self.next = here.unwrap_or(usize::try_from(next).unwrap_or(usize::MAX)).min(self.files.len());
@@ -87,7 +87,7 @@ impl Images {
         let count = self.files.len();
         *out = read(path).map_err(|cause| CaptureError::Unreadable {
             path: path.clone(),
-            place: if count > 1 { format!(" (picture {} of {count})", self.grabbed + 1) } else { String::new() },
+            place: if count > 1 { format!(" (image {} of {count})", self.grabbed + 1) } else { String::new() },
             cause,
         })?;
         if let Some(slot) = self.retained.get_mut(self.grabbed)
@@ -99,7 +99,7 @@ impl Images {
         Ok(())
     }
 
-    /// The largest values of a few pictures spread over the series; pictures of eight bits and damaged ones give none.
+    /// Maximum values of a few images spread over the series. Images of eight bits and damaged ones are left out.
     pub fn peaks(&self) -> Vec<f32> {
         let count = self.files.len();
         let probes = count.min(PROBES);

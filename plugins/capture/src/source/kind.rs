@@ -1,25 +1,25 @@
-//! Kinds of video files that need to be known before GStreamer opens them, by their first bytes.
+//! Kinds of video files that must be known before GStreamer opens them, identified by their first bytes.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// What a video file is, as far as it matters here.
+/// Kind of a video file, as far as opening depends on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
-    /// GStreamer finds neither all frames of a GIF nor its end.
+    /// GIF. GStreamer finds neither all its frames nor its end.
     Gif,
-    /// An MPEG transport stream, with packets of 188 or 192 bytes, or a program stream. Nothing states its length: GStreamer computes it from
-    /// the clocks in it, which may jump.
+    /// An MPEG transport stream, with packets of 188 or 192 bytes, or a program stream. Its length is not stated: GStreamer computes it from the
+    /// clocks in it, which may jump.
     Clocked,
-    /// JPEGs without a container. GStreamer plays one of them.
+    /// JPEGs without a container. GStreamer shows only the first of them.
     Jpegs,
     /// Any other file.
     Other,
 }
 
 impl FileKind {
-    /// Reads the beginning of a file; one that cannot be read is [`Self::Other`].
+    /// Identifies a file by its first bytes. A file that cannot be read is [`Self::Other`].
     pub fn of(path: &Path) -> Self {
         let mut bytes = Vec::new();
         let read = File::open(path).and_then(|file| file.take(200).read_to_end(&mut bytes));

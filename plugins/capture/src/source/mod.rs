@@ -1,4 +1,4 @@
-//! Where pictures come from: one [`Source`] per camera, file, image sequence or pipeline.
+//! Sources of frames: one [`Source`] per camera, file, image sequence or pipeline.
 
 mod avi;
 mod compressed;
@@ -31,7 +31,7 @@ pub use stream::Stream;
 
 use images::Images;
 
-/// One source.
+/// A camera, file, image sequence or pipeline.
 pub enum Source {
     /// Image files, read one by one.
     Images(Images),
@@ -40,7 +40,7 @@ pub enum Source {
 }
 
 impl Source {
-    /// Opens `name`. With `is_repeated` decoded images stay in memory. `signal` is notified of every picture of a stream.
+    /// Opens `name`. With `is_repeated` decoded images stay in memory. Every frame of a stream notifies `signal`.
     ///
     /// # Errors
     /// The source is missing, damaged, refused, or does not open in time.
@@ -57,7 +57,7 @@ impl Source {
         }
     }
 
-    /// Steps to the next picture. Images are read by [`Self::retrieve`]; pictures of streams are decoded already.
+    /// Advances to the next frame. Images are read by [`Self::retrieve`]; frames of streams are already decoded.
     pub fn grab(&mut self, clock: Clock<'_>) -> Grab {
         match self {
             Self::Images(images) => images.grab(),
@@ -65,10 +65,10 @@ impl Source {
         }
     }
 
-    /// Returns the picture that was grabbed.
+    /// Moves the grabbed frame to `out`.
     ///
     /// # Errors
-    /// A damaged file or frame, by name and number; never old pixels.
+    /// The file or frame is damaged; names it. `out` never holds old pixels.
     pub fn retrieve(&mut self, out: &mut Picture) -> Result<(), CaptureError> {
         out.clear();
         match self {
@@ -77,10 +77,10 @@ impl Source {
         }
     }
 
-    /// Starts again at the first picture.
+    /// Restarts at the first frame.
     ///
     /// # Errors
-    /// A video that no longer opens.
+    /// The video no longer opens.
     pub fn rewind(&mut self) -> Result<(), CaptureError> {
         match self {
             Self::Images(images) => {
@@ -92,7 +92,7 @@ impl Source {
         }
     }
 
-    /// Frames per second by the file or the driver.
+    /// Frame rate by the file or the driver, Hz.
     pub fn native_fps(&self) -> Option<f64> {
         match self {
             Self::Images(_) => None,
@@ -100,7 +100,7 @@ impl Source {
         }
     }
 
-    /// Number of pictures grabbed since the start.
+    /// Number of frames grabbed since the start.
     pub fn grabbed(&self) -> u64 {
         match self {
             Self::Images(images) => images.grabbed(),
@@ -108,7 +108,7 @@ impl Source {
         }
     }
 
-    /// Number of pictures left, as far as it is known.
+    /// Number of frames left, if it is known.
     pub fn left(&self) -> u64 {
         match self {
             Self::Images(images) if images.is_still() => 0,
@@ -117,8 +117,8 @@ impl Source {
         }
     }
 
-    /// Time of the grabbed picture since the first one, in s. `rate_hz` is the rate of pictures without a time of their own and, when `is_forced`, of all.
-    /// `None` for stills and live sources.
+    /// Time of the grabbed frame since the first one, s. `rate_hz`: rate of frames without a timestamp, or of all frames when `is_forced`. `None` for
+    /// stills and live sources.
     pub fn media_s(&self, rate_hz: f64, is_forced: bool) -> Option<f64> {
         let by_rate = self.grabbed().saturating_sub(1) as f64 / rate_hz;
         match self {
@@ -129,17 +129,17 @@ impl Source {
         }
     }
 
-    /// Whether it is one image, which has no end of its own.
+    /// Whether it is a single image, which has no end.
     pub fn is_still(&self) -> bool {
         matches!(self, Self::Images(images) if images.is_still())
     }
 
-    /// Whether the source sets the pace by itself.
+    /// Whether the source sets the pace itself.
     pub fn is_device(&self) -> bool {
         matches!(self, Self::Stream(stream) if stream.is_live())
     }
 
-    /// The stream, if only its newest pictures count: pictures of such streams are paired by their arrival.
+    /// The stream, if it delivers only its newest frames. Frames of such streams are paired by arrival.
     pub fn newest_mut(&mut self) -> Option<&mut Stream> {
         match self {
             Self::Stream(stream) if stream.is_newest_wins() => Some(stream),
@@ -147,7 +147,7 @@ impl Source {
         }
     }
 
-    /// The stream of a camera, video, address or pipeline.
+    /// The stream of a camera, video, address or pipeline; `None` for images.
     pub fn stream(&self) -> Option<&Stream> {
         match self {
             Self::Stream(stream) => Some(stream),
@@ -155,7 +155,7 @@ impl Source {
         }
     }
 
-    /// The device's stream.
+    /// The stream of a device; `None` for other sources.
     pub fn device_mut(&mut self) -> Option<&mut Stream> {
         match self {
             Self::Stream(stream) if stream.is_live() => Some(stream),
@@ -163,7 +163,7 @@ impl Source {
         }
     }
 
-    /// Largest values of some pictures with more than eight bits.
+    /// Maximum values of some images of more than eight bits.
     pub fn peaks(&self) -> Vec<f32> {
         match self {
             Self::Images(images) => images.peaks(),
@@ -171,7 +171,7 @@ impl Source {
         }
     }
 
-    /// The next file, where every picture is a file.
+    /// The next file, if every frame is a file.
     pub fn next_file(&self) -> Option<&Path> {
         match self {
             Self::Images(images) => images.next_file(),
@@ -179,7 +179,7 @@ impl Source {
         }
     }
 
-    /// Continues after `grabbed` pictures, or at `file` where it still exists.
+    /// Continues after `grabbed` frames, or at `file` if it still exists.
     pub fn go_to(&mut self, grabbed: u64, file: Option<&Path>) {
         match self {
             Self::Images(images) if !images.is_still() => images.go_to(file, grabbed),

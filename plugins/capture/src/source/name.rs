@@ -1,4 +1,4 @@
-//! From the text of a parameter to the kind of source that it names.
+//! Parses the text of a parameter into the kind of source that it names.
 
 use std::path::{Path, PathBuf};
 
@@ -11,18 +11,18 @@ use super::error::CaptureError;
 use super::picture::turned_size;
 use crate::devices;
 
-/// What a text names.
+/// The source that a text names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceName {
     /// A camera by its number.
     Device(i32),
-    /// A pipeline in GStreamer's words.
+    /// A GStreamer pipeline as text.
     Pipeline(String),
     /// An address such as `rtsp://...`.
     Address(String),
     /// A video file.
     Video(PathBuf),
-    /// One image, shown again and again.
+    /// One image, shown repeatedly.
     Image(PathBuf),
     /// Images in order.
     Images(Vec<PathBuf>),
@@ -34,18 +34,18 @@ fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, CaptureError> {
 }
 
 impl SourceName {
-    /// Reads `text`; relative paths stand in `folder`.
+    /// Parses `text`; relative paths are in `folder`.
     ///
-    /// - a number that is no file's name, or `/dev/videoN`: a camera
-    /// - a text with `!` that is no file's name: a GStreamer pipeline
-    /// - `scheme://...`: a stream of the network; its user and password may be names of environment variables, see [`panoscope_base::secret`]
-    /// - `dir/*.png`, `img_%04d.png`, or a folder: images in the order of their numbers
+    /// - a number that is not a file's name, or `/dev/videoN`: a camera
+    /// - a text with `!` that is not a file's name: a GStreamer pipeline
+    /// - `scheme://...`: a network stream; its user and password may be names of environment variables, see [`panoscope_base::secret`]
+    /// - `dir/*.png`, `img_%04d.png`, or a folder: images sorted by number
     /// - image files, one a line: those in that order
-    /// - an image file: that image again and again
+    /// - an image file: that image repeatedly
     /// - any other file: a video
     ///
     /// # Errors
-    /// A device or file that is not there, a pattern without matches.
+    /// A device or file does not exist, or a pattern matches nothing.
     pub fn parse(text: &str, folder: &Path) -> Result<Self, CaptureError> {
         let text = text.trim();
         if text.contains('\n') {
@@ -91,7 +91,7 @@ impl SourceName {
         Ok(if is_image(&path) { Self::Image(path) } else { Self::Video(path) })
     }
 
-    /// Width and height of the first picture, upright or as stored, read from its header; `None` for sources that must be opened to know.
+    /// Width and height of the first frame, upright or as stored, from its header; `None` for sources that must be opened to know.
     pub fn picture_size(&self, is_upright: bool) -> Option<(usize, usize)> {
         let file = match self {
             Self::Image(file) => file,
@@ -105,7 +105,7 @@ impl SourceName {
         Some(if is_upright { turned_size(stored, orientation) } else { stored })
     }
 
-    /// For messages.
+    /// The source as text, for messages.
     pub fn in_words(&self) -> String {
         match self {
             Self::Device(number) => format!("camera /dev/video{number}"),

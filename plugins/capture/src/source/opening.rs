@@ -1,4 +1,4 @@
-//! Opening with a time limit. GStreamer may wait for ever for a disk, a driver or a network, so the call runs on a thread of its own, which is
+//! Opening with a time limit. GStreamer may block forever on a disk, a driver or a network. The call therefore runs on a separate thread, which is
 //! abandoned when it does not return in time.
 
 use std::collections::BTreeMap;
@@ -9,15 +9,15 @@ use std::time::Duration;
 use super::error::CaptureError;
 use super::name::SourceName;
 
-/// Calls that have not returned yet, by the source's name.
+/// Number of calls that have not returned yet, by the source's name.
 static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
-/// Maximum number of calls that may hang for one source; each abandoned call holds a thread.
+/// Maximum number of hanging calls per source; each abandoned call holds a thread.
 const MAX_RUNNING: usize = 3;
 
-/// A call that opens a source.
+/// A pending call that opens a source.
 pub struct Opening<T> {
     name: SourceName,
-    /// Time of the host's clock at the first [`Self::poll`], ns.
+    /// Host time of the first [`Self::poll`], ns.
     since_ns: Option<i64>,
     limit: Duration,
     result: Receiver<Result<T, CaptureError>>,
@@ -28,10 +28,10 @@ fn running<R>(change: impl FnOnce(&mut BTreeMap<String, usize>) -> R) -> R {
 }
 
 impl<T: Send + 'static> Opening<T> {
-    /// Begins to open `name` by `open`, which has `limit` for it.
+    /// Starts opening `name` by `open` with the time limit `limit`.
     ///
     /// # Errors
-    /// [`CaptureError::Closed`] when too many earlier calls for the same source have not returned, or no thread starts.
+    /// [`CaptureError::Closed`] when too many earlier calls for the same source have not returned, or no thread can be started.
     pub fn start(
         name: &SourceName,
         limit: Duration,
@@ -58,12 +58,12 @@ impl<T: Send + 'static> Opening<T> {
         });
         if let Err(error) = started {
             returned(&key);
-            return Err(closed(format!("no thread starts: {error}")));
+            return Err(closed(format!("no thread can be started: {error}")));
         }
         Ok(Self { name: name.clone(), since_ns: None, limit, result })
     }
 
-    /// Waits for the result of the call, or for the limit.
+    /// Blocks until the call returns or the time limit passes.
     ///
     /// # Errors
     /// Why the source does not open.
@@ -75,7 +75,7 @@ impl<T: Send + 'static> Opening<T> {
         }
     }
 
-    /// The result of the call, or of the limit, once there is one. The limit counts from the first poll.
+    /// The result of the call or of the time limit, once there is one. The limit counts from the first poll.
     pub fn poll(&mut self, now_ns: i64) -> Option<Result<T, CaptureError>> {
         let passed_ns = now_ns.saturating_sub(*self.since_ns.get_or_insert(now_ns));
         let is_in_time = passed_ns < i64::try_from(self.limit.as_nanos()).unwrap_or(i64::MAX);
@@ -97,14 +97,14 @@ pub fn too_late(name: &SourceName, limit: Duration) -> CaptureError {
     let seconds = limit.as_secs_f64();
     let hint = match name {
         SourceName::Address(_) => {
-            "is the address right, and the sender running? `open_limit_s` sets the time".to_owned()
+            "check that the address is correct and the sender is running; `open_limit_s` sets the time limit".to_owned()
         }
         SourceName::Pipeline(text) => format!(
             "one of its elements ({}) waits for data, a device or an address; try it with gst-launch-1.0, or set `open_limit_s`",
             super::elements::names(text).join(", ")
         ),
-        SourceName::Device(_) => "the driver does not answer; unplug the camera and plug it in again".to_owned(),
-        _ => "is it a file, on a disk that answers?".to_owned(),
+        SourceName::Device(_) => "the driver does not answer; unplug and reconnect the camera".to_owned(),
+        _ => "check that it is a file on a disk that responds".to_owned(),
     };
     CaptureError::Closed { name: name.in_words(), reason: format!("no answer within {seconds} s: {hint}") }
 }

@@ -1,4 +1,4 @@
-//! One picture as its file or device gave it, and how its values become eight bits.
+//! One image as its file or device delivers it, and the conversion of its values to eight bits.
 
 use std::sync::Arc;
 
@@ -10,17 +10,17 @@ use image::metadata::Orientation;
 /// Blue, green, red of every pixel.
 #[derive(Clone, Debug)]
 pub enum Samples {
-    /// 0..=255, row after row without padding. Shared: a picture that is shown again is not copied.
+    /// 0..=255, row after row without padding. Shared: an image that is shown again is not copied.
     Eight(Arc<Vec<u8>>),
     /// 0..=255, in the decoder's memory.
     Decoded(Arc<VideoFrame<Readable>>),
-    /// As the file holds them; white may be any of 255, 1023, 4095, 16383, 65535. Rows have no padding.
+    /// As in the file; white may be any of 255, 1023, 4095, 16383, 65535. Rows have no padding.
     Sixteen(Vec<u16>),
-    /// As the file holds them; white may be 1.0 or any of the above.
+    /// As in the file; white may be 1.0 or any of the above.
     Float(Vec<f32>),
 }
 
-/// One picture.
+/// An image with its orientation.
 #[derive(Debug)]
 pub struct Picture {
     /// Columns in px.
@@ -29,7 +29,7 @@ pub struct Picture {
     pub height: usize,
     /// Its values.
     pub samples: Samples,
-    /// How it is to be turned to be shown.
+    /// Rotation that its metadata asks for.
     pub orientation: Orientation,
 }
 
@@ -38,7 +38,7 @@ impl Clone for Picture {
         Self { samples: self.samples.clone(), ..*self }
     }
 
-    /// Keeps the memory of the picture before: a block per picture is mapped and cleared by the system each time.
+    /// Reuses the memory of the previous image: the system maps and clears a new block for each allocation of this size.
     fn clone_from(&mut self, source: &Self) {
         (self.width, self.height, self.orientation) = (source.width, source.height, source.orientation);
         match (&mut self.samples, &source.samples) {
@@ -55,7 +55,7 @@ impl Default for Picture {
     }
 }
 
-/// Width and height of a picture that is turned.
+/// Width and height after rotation.
 pub fn turned_size((width, height): (usize, usize), orientation: Orientation) -> (usize, usize) {
     use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
     match orientation {
@@ -64,7 +64,7 @@ pub fn turned_size((width, height): (usize, usize), orientation: Orientation) ->
     }
 }
 
-/// The pixels of a picture of three values a pixel, turned: the size of the result and its pixels.
+/// Rotates the pixels of an image of three values per pixel. Returns the size of the result and its pixels.
 fn turned<T: Copy>(
     values: &[T],
     (width, height): (usize, usize),
@@ -94,12 +94,12 @@ fn turned<T: Copy>(
 }
 
 impl Picture {
-    /// A picture that is shown as it is stored.
+    /// An image that is shown as stored.
     pub fn new((width, height): (usize, usize), samples: Samples) -> Self {
         Self { width, height, samples, orientation: Orientation::NoTransforms }
     }
 
-    /// Turns it as its file says that it is to be shown.
+    /// Rotates it as its metadata asks for.
     pub fn turn_upright(&mut self) {
         let orientation = std::mem::replace(&mut self.orientation, Orientation::NoTransforms);
         if orientation == Orientation::NoTransforms || self.width * self.height == 0 {
@@ -132,12 +132,12 @@ impl Picture {
         *self = Self::new(size, samples);
     }
 
-    /// Forgets the pixels: after a failure nothing of the picture before is left to be shown.
+    /// Drops the pixels, so that nothing of the previous image is shown after a failure.
     pub fn clear(&mut self) {
         *self = Self::default();
     }
 
-    /// Bytes of memory.
+    /// Memory in use, bytes.
     pub fn bytes(&self) -> usize {
         match &self.samples {
             Samples::Eight(bgr) => bgr.len(),
@@ -147,7 +147,7 @@ impl Picture {
         }
     }
 
-    /// The largest value of a picture with more than eight bits; `None` for one of eight. NaN counts as nothing.
+    /// Maximum value of an image of more than eight bits; `None` for one of eight. NaN is ignored.
     pub fn peak(&self) -> Option<f32> {
         match &self.samples {
             Samples::Eight(_) | Samples::Decoded(_) => None,
@@ -161,7 +161,7 @@ impl Picture {
         matches!(self.samples, Samples::Float(_))
     }
 
-    /// Writes columns `x..` of row `y` as eight bits; `white` becomes 255, what is brighter too.
+    /// Writes columns `x..` of row `y` as eight bits. `white` and brighter values become 255.
     pub fn write_row(&self, x: usize, y: usize, white: f32, out: &mut [u8]) {
         let start = (y * self.width + x) * 3;
         let end = start + out.len();
@@ -225,7 +225,7 @@ mod tests {
         assert_eq!(picture.bytes(), 0);
     }
 
-    /// The eight orientations of EXIF, against the library's own turning.
+    /// The eight orientations of EXIF, compared with the rotation of the `image` crate.
     #[test]
     fn pictures_are_turned_as_their_tag_says() {
         let rgb = image::RgbImage::from_fn(3, 2, |x, y| image::Rgb([x as u8, y as u8, (3 * y + x) as u8]));

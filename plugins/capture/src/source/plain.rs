@@ -1,4 +1,4 @@
-//! BMP and PNM: pixels without compression. A file that is shorter than its header says is refused.
+//! BMP and PNM: uncompressed pixels. A file that is shorter than its header says is refused.
 
 use super::error::PictureError;
 use super::picture::{Picture, Samples};
@@ -13,7 +13,7 @@ fn unsupported(format: String) -> PictureError {
 /// Decodes a Windows bitmap of 8 bits with a palette, or of 24 or 32 bits.
 ///
 /// # Errors
-/// Another kind of bitmap; missing bytes.
+/// Another kind of bitmap, or missing bytes.
 pub fn bmp(bytes: &[u8]) -> Result<Picture, PictureError> {
     let word =
         |at: usize| bytes.get(at..at + 2).map(|b| u16::from_le_bytes([b[0], b[1]])).ok_or(PictureError::Incomplete);
@@ -60,7 +60,7 @@ pub fn bmp(bytes: &[u8]) -> Result<Picture, PictureError> {
 /// Decodes a binary PGM or PPM of 8 or 16 bits.
 ///
 /// # Errors
-/// Another kind of PNM; missing bytes.
+/// Another kind of PNM, or missing bytes.
 pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
     let channels = match bytes.get(..2) {
         Some(b"P5") => 1,
@@ -112,7 +112,7 @@ pub fn pnm(bytes: &[u8]) -> Result<Picture, PictureError> {
     Ok(Picture::new((width, height), samples))
 }
 
-/// BGR of interleaved gray or RGB values, with or without alpha.
+/// Converts interleaved gray or RGB values, with or without alpha, to BGR.
 pub fn bgr<T: Copy>(values: &[T], channels: usize) -> Vec<T> {
     if channels == 3 {
         return bgr_of_rgb(values.to_vec());
@@ -125,7 +125,7 @@ pub fn bgr<T: Copy>(values: &[T], channels: usize) -> Vec<T> {
     out
 }
 
-/// BGR in the memory of interleaved RGB.
+/// Converts interleaved RGB to BGR in place.
 pub fn bgr_of_rgb<T>(mut values: Vec<T>) -> Vec<T> {
     for pixel in values.as_chunks_mut::<3>().0 {
         pixel.swap(0, 2);

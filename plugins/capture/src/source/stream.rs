@@ -1,5 +1,7 @@
 //! Devices, video files, network streams and pipelines, through GStreamer.
 
+mod report;
+
 use std::borrow::Cow;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -21,84 +23,85 @@ use super::opening::{Opening, too_late};
 use super::picture::Picture;
 use crate::devices;
 
-/// Pause before the first attempt to open a lost source again.
+/// Pause before the first attempt to reopen a lost source.
 const FIRST_WAIT: Duration = Duration::from_millis(250);
-/// Longest pause between two attempts: a source that is back is shown within 2 s.
+/// Maximum pause between two attempts, so that a source that is back is shown within 2 s.
 const MAX_WAIT: Duration = Duration::from_secs(1);
-/// Limit of the first attempt to open a lost source again. An attempt that is not answered is given up, and the next one may take twice as long.
+/// Time limit of the first attempt to reopen a lost source. An attempt that does not return is abandoned, and the next one may take twice as long.
 const FIRST_ATTEMPT: Duration = Duration::from_millis(1500);
-/// Shortest silence of a live source for which the other views do not wait: well below the time after which a screen calls images old.
+/// Minimum silence of a live source after which the other views are delivered without it. Well below the time after which a screen marks images as
+/// old.
 const MIN_PAUSE: Duration = Duration::from_millis(500);
-/// The same in times between two frames.
+/// The same in frame periods.
 const PAUSE_FRAMES: u32 = 3;
-/// A file that gives nothing for this long is given up.
+/// A file that delivers nothing for this long is closed.
 const FILE_LIMIT: Duration = Duration::from_secs(10);
 
-/// Decoded pictures of a file that may wait.
+/// Maximum number of decoded frames of a file in the queue.
 const FILE_QUEUE: usize = 4;
-/// Pictures of a live source that wait for a partner.
+/// Maximum number of frames of a live source that wait for a partner.
 const LIVE_QUEUE: usize = 8;
-/// Frames that a video may lack of the number in its header, which is often an estimate.
+/// Frames that a video may lack compared with the number in its header, which is often an estimate.
 const HEADER_ERROR_FRAMES: u64 = 2;
-/// Frames up to which a position is reached by reading, which is exact, instead of seeking, which is fast.
+/// Up to this distance, in frames, a position is reached by reading, which is exact; beyond it by seeking, which is fast.
 const READ_TO: u64 = 500;
-/// Containers round times to milliseconds: times that differ less from the frame rate's are ignored, s.
+/// Containers round timestamps to milliseconds: smaller differences from the frame rate's times are ignored, s.
 const ROUNDING_S: f64 = 0.0015;
 
-/// What is in the queue of an input: a picture, or why it must not be shown.
+/// Entry of an input's queue: a frame, or why it must not be shown.
 type Content = Result<Picture, FrameError>;
 
 /// State of the connection.
 enum State {
     Open(Input<Content>),
-    /// Lost. Opened again at this time of the host's clock (ns); the last pause before it.
+    /// Lost. Host time of the next attempt (ns), and the last pause before it.
     Waiting(i64, Duration),
-    /// Being opened since this time of the host's clock (ns); the last pause before it.
+    /// Being reopened since this host time (ns), and the last pause before it.
     Opening(Opening<Input<Content>>, i64, Duration),
 }
 
-/// An open stream, or a lost one that is opened again.
+/// An open stream, or a lost one that is being reopened.
 pub struct Stream {
     name: SourceName,
     demands: Demands,
     signal: Arc<Signal>,
     state: State,
     is_live: bool,
-    /// It has an end of its own.
+    /// Whether the stream has an end.
     is_finite: bool,
-    /// The number of the newest frame taken, from 1.
+    /// Number of the newest frame taken, from 1.
     frames: u64,
-    /// Frames of earlier connections.
+    /// Number of frames of earlier connections.
     frames_before: u64,
     /// Number of frames by the file's header, the pipeline, or its length and rate; 0 when unknown.
     expected: u64,
-    /// The length that the file states, where it states no number of frames.
+    /// Length that the file states, if it states no number of frames.
     length: Option<Duration>,
-    /// Longest time between two frames in order, s: so long may the last one be shown.
+    /// Maximum time between consecutive frames so far, s: the last one may be shown for this long.
     max_step_s: f64,
-    /// Number and position of the frame before, s.
+    /// Number and time (s) of the previous frame.
     before: Option<(u64, f64)>,
     fps: Option<f64>,
     first_pos_s: Option<f64>,
     media_s: Option<f64>,
     /// The frame that was grabbed.
     current: Option<Content>,
-    /// Index of the frame that the next grab returns; 0 for the next one.
+    /// Index of the frame that the next grab must return; 0 for the next one.
     go_to: u64,
     lock: Lock,
-    /// Limit of the next attempt to open it again.
+    /// Time limit of the next attempt to reopen it.
     attempt_limit: Duration,
     /// Why the source was lost.
     loss: String,
-    /// Frames of the connection that were there at this time of the host's clock, ns.
+    /// Number of frames of the connection, and the host time (ns) at which that number was reached.
     heard: (u64, i64),
-    /// A silence longer than this is not a pause between two frames: other views are shown without this one.
+    /// Silence longer than this is not a pause between two frames: other views are delivered without this one.
     pause: Duration,
     damaged: Arc<AtomicU64>,
     dropped_before: u64,
 }
 
-/// Pictures after which a pipeline ends, and whether it is made of files.
+/// Number of frames after which a pipeline ends, and whether it reads files.
 fn end_of(text: &str) -> (u64, bool) {
     let count = text.split("num-buffers").nth(1).map(|rest| {
         let digits = rest.trim_start().trim_start_matches('=').trim_start();
@@ -108,7 +111,7 @@ fn end_of(text: &str) -> (u64, bool) {
     (count.unwrap_or(0), has_files || count.is_some_and(|count| count > 0))
 }
 
-/// Opens `name`. May wait for ever: [`Opening`] sets the limit.
+/// Opens `name`. May block forever: [`Opening`] sets the limit.
 fn open(
     name: &SourceName,
     demands: Demands,
@@ -122,7 +125,7 @@ fn open(
         SourceName::Pipeline(text) => {
             if let Some(missing) = elements::unknown_element(text) {
                 return Err(closed(format!(
-                    "GStreamer has no element `{missing}`: is it spelt right, and is the package installed that brings it? gst-inspect-1.0 lists what there is"
+                    "GStreamer has no element `{missing}`: check its spelling, or install its package; gst-inspect-1.0 lists the installed elements"
                 )));
             }
             InputName::Text(resolved(text)?)
@@ -130,7 +133,7 @@ fn open(
         SourceName::Address(text) => InputName::Address(resolved(text)?),
         SourceName::Video(path) if FileKind::of(path) == FileKind::Gif => {
             let help = "convert it, for example by `ffmpeg -i IN.gif OUT.mkv`, or one image to PNG";
-            return Err(closed(format!("GIF files are not read: {help}")));
+            return Err(closed(format!("GIF files are not supported: {help}")));
         }
         SourceName::Video(path) => match path.to_str().filter(|_| FileKind::of(path) == FileKind::Jpegs) {
             Some(text) => InputName::Text(format!("filesrc location={} ! jpegparse", elements::quoted(text))),
@@ -156,17 +159,17 @@ fn open(
         error @ (MediaError::MissingDecoder { .. } | MediaError::MissingElement { .. }) => closed(error.to_string()),
         error => closed(match name {
             SourceName::Device(_) => {
-                format!("{error}. It may be in use by another program, or be no camera; {}", devices::in_words())
+                format!("{error}. It may be in use by another program, or may not be a camera; {}", devices::in_words())
             }
             SourceName::Pipeline(_) => format!("{error}. Try it with gst-launch-1.0"),
-            SourceName::Address(_) => format!("{error}. Is the address right, and the sender running?"),
-            _ => format!("it is no video that GStreamer knows, or it is damaged: {error}"),
+            SourceName::Address(_) => format!("{error}. Check that the address is correct and the sender is running"),
+            _ => format!("it is not a video that GStreamer supports, or it is damaged: {error}"),
         }),
     })
 }
 
 impl Stream {
-    /// Opens `name` within the time limit. `signal` is notified of every picture.
+    /// Opens `name` within the time limit. Every frame notifies `signal`.
     ///
     /// # Errors
     /// [`CaptureError::Closed`].
@@ -227,22 +230,22 @@ impl Stream {
         Opening::start(&self.name, limit, move || open(&name, demands, signal, damaged))
     }
 
-    /// Whether pictures come at their own pace.
+    /// Whether frames arrive at the source's own pace.
     pub fn is_live(&self) -> bool {
         self.is_live
     }
 
-    /// Whether pictures are taken by their arrival, and older ones than the newest are dropped.
+    /// Whether frames are taken by arrival and only the newest is kept.
     pub fn is_newest_wins(&self) -> bool {
         self.is_live && !self.demands.is_lossless
     }
 
-    /// Frames per second as the file or the driver says.
+    /// Frame rate by the file or the driver, Hz.
     pub fn native_fps(&self) -> Option<f64> {
         self.fps
     }
 
-    /// Frames since the start, with those that were dropped.
+    /// Number of frames since the start, including dropped ones.
     pub fn frames(&self) -> u64 {
         match &self.state {
             State::Open(input) if self.is_newest_wins() => self.frames_before + input.queue().pushed(),
@@ -250,49 +253,28 @@ impl Stream {
         }
     }
 
-    /// Frames that should still come, as far as the source promises.
+    /// Number of frames left, as far as the source announces it.
     pub fn left(&self) -> u64 {
         self.expected.saturating_sub(self.frames)
     }
 
-    /// Time of the frame that was grabbed since the first one, in s of the file.
+    /// Time of the grabbed frame since the first one by the file's timestamps, s.
     pub fn media_s(&self) -> Option<f64> {
         self.media_s
     }
 
-    /// Frames that were damaged since the start; none of them was shown.
+    /// Number of damaged frames since the start; none of them was shown.
     pub fn damaged(&self) -> u64 {
         self.damaged.load(Ordering::Relaxed)
     }
 
-    /// Frames of a live source that were dropped since the start because newer ones came.
+    /// Number of frames of a live source that were dropped since the start because newer ones arrived.
     pub fn dropped(&self) -> u64 {
         let now = if let State::Open(input) = &self.state { input.queue().dropped() } else { 0 };
         self.dropped_before + now
     }
 
-    /// What is unusual in its pictures, in words.
-    pub fn remark(&self) -> Option<String> {
-        let State::Open(input) = &self.state else { return None };
-        let format = input.format();
-        let (width, height) = format.pixel_aspect;
-        let mut parts = Vec::new();
-        if width != height {
-            parts.push(format!(
-                "its pixels are {width}:{height}: they are kept as they are, so fx and fy of its calibration differ by this ratio"
-            ));
-        }
-        if format.exif_orientation > 1 {
-            parts.push("its file says that it is to be turned (`orientation`)".to_owned());
-        }
-        if format.is_interlaced {
-            parts.push("its pictures are interlaced: each is made of the upper field".to_owned());
-        }
-        (!parts.is_empty())
-            .then(|| format!("{} ({}x{}): {}", self.name.in_words(), format.width, format.height, parts.join("; ")))
-    }
-
-    /// Goes on at frame `frame` with the next grab.
+    /// Continues at frame `frame` with the next grab.
     pub fn go_to(&mut self, frame: u64) {
         self.go_to = frame;
         // At once: many pictures may have to be decoded on the way, for which the next picture's time is too short. What stops it on the way stops the
@@ -302,7 +284,7 @@ impl Stream {
         }
     }
 
-    /// Starts anew. Opening is exact for every container; seeking is not.
+    /// Restarts from the beginning by reopening: seeking is not exact for every container.
     ///
     /// # Errors
     /// [`CaptureError::Closed`].
@@ -314,7 +296,7 @@ impl Stream {
         Ok(())
     }
 
-    /// Whether there is something to grab from. Opens a lost source again with growing pauses, without waiting for it here.
+    /// Whether the stream is open. Reopens a lost source with growing pauses and does not wait for it.
     fn is_open(&mut self, clock: Clock<'_>) -> bool {
         loop {
             let (next, is_settled) = match &mut self.state {
@@ -356,13 +338,13 @@ impl Stream {
         }
     }
 
-    /// Gives the connection up, to be opened again.
+    /// Closes the connection so that it is reopened.
     fn lose(&mut self, why: &str, clock: Clock<'_>) -> Grab {
         if let State::Open(input) = &self.state {
             self.frames_before = if self.is_newest_wins() { self.frames() } else { self.frames };
             self.dropped_before += input.queue().dropped();
         }
-        self.loss = format!("{} is gone after {} frames: {why}", self.name.in_words(), self.frames_before);
+        self.loss = format!("{} disappeared after {} frames: {why}", self.name.in_words(), self.frames_before);
         self.current = None;
         self.state = waiting(FIRST_WAIT, clock());
         Grab::Lost(self.loss.clone())
@@ -376,7 +358,7 @@ impl Stream {
         }
     }
 
-    /// For streams of which the newest picture counts: opens a lost one again, and tells whether there is a connection.
+    /// For streams of which only the newest frame is kept: reopens a lost one, and returns whether it is connected.
     pub fn poll(&mut self, clock: Clock<'_>) -> Grab {
         if !self.is_open(clock) {
             return Grab::Lost(self.loss.clone());
@@ -400,27 +382,27 @@ impl Stream {
         Grab::Ready(None)
     }
 
-    /// Time since the newest frame, or since the connection, as of the last [`Self::poll`].
+    /// Time since the newest frame or since the connection, as of the last [`Self::poll`].
     fn silence(&self, now_ns: i64) -> Duration {
         Duration::from_nanos(u64::try_from(now_ns.saturating_sub(self.heard.1)).unwrap_or(0))
     }
 
-    /// Whether there is a connection.
+    /// Whether the stream is connected.
     pub fn is_connected(&self) -> bool {
         matches!(self.state, State::Open(_))
     }
 
-    /// Whether a frame has come within a time, as of the last [`Self::poll`].
+    /// Whether a frame has arrived within `time`, as of the last [`Self::poll`].
     pub fn is_heard_within(&self, time: Duration, clock: Clock<'_>) -> bool {
         self.is_connected() && self.silence(clock()) <= time
     }
 
-    /// Whether frames keep coming, as of the last [`Self::poll`].
+    /// Whether frames keep arriving, as of the last [`Self::poll`].
     pub fn delivers(&self, clock: Clock<'_>) -> bool {
         self.is_heard_within(self.pause, clock)
     }
 
-    /// Arrival times of the pictures that wait, oldest first, ns of `CLOCK_MONOTONIC`.
+    /// Arrival times of the waiting frames, oldest first, ns of `CLOCK_MONOTONIC`.
     pub fn arrivals(&self, out: &mut Vec<i64>) {
         out.clear();
         if let State::Open(input) = &self.state {
@@ -428,12 +410,12 @@ impl Stream {
         }
     }
 
-    /// Drops the waiting pictures that arrived before `arrived_ns`; returns how many.
+    /// Drops the waiting frames that arrived before `arrived_ns`; returns how many.
     pub fn discard_before(&self, arrived_ns: i64) -> u64 {
         if let State::Open(input) = &self.state { input.queue().discard_before(arrived_ns) } else { 0 }
     }
 
-    /// Takes the waiting picture that arrived at `arrived_ns`, if the queue still has it.
+    /// Takes the waiting frame that arrived at `arrived_ns`, if it is still in the queue.
     pub fn take(&mut self, arrived_ns: i64) -> bool {
         let State::Open(input) = &self.state else { return false };
         let Some(item) = input.queue().pop(Duration::ZERO) else { return false };
@@ -445,7 +427,7 @@ impl Stream {
         true
     }
 
-    /// Takes the next frame in order, waiting for it; its arrival.
+    /// Waits for the next frame in order and takes it; returns its arrival.
     fn grab_one(&mut self, limit: Duration) -> Option<i64> {
         let State::Open(input) = &self.state else { return None };
         let item = input.queue().pop(limit)?;
@@ -455,7 +437,7 @@ impl Stream {
         Some(item.arrived_ns)
     }
 
-    /// Skips the frames before the one asked for.
+    /// Skips the frames before the requested one.
     fn skip_to_target(&mut self) -> bool {
         let target = std::mem::take(&mut self.go_to);
         if target > self.frames + READ_TO && !self.seek_before(target) && self.rewind().is_err() {
@@ -469,7 +451,7 @@ impl Stream {
         true
     }
 
-    /// Goes to a frame shortly before number `target`, by the times of the file. Returns whether that is possible.
+    /// Seeks to a frame shortly before number `target`, by the file's timestamps. Returns whether that is possible.
     fn seek_before(&mut self, target: u64) -> bool {
         let (State::Open(input), Some(fps)) = (&self.state, self.fps) else { return false };
         // Between two frames, for times that are rounded; the first frame that comes says which one it is.
@@ -484,7 +466,7 @@ impl Stream {
         self.frames <= target
     }
 
-    /// Takes the next picture, in order.
+    /// Takes the next frame in order.
     pub fn grab(&mut self, clock: Clock<'_>) -> Grab {
         if !self.is_open(clock) {
             return Grab::Lost(self.loss.clone());
@@ -507,7 +489,7 @@ impl Stream {
                 words.unwrap_or_else(|| format!("{} failed after {} frames", self.name.in_words(), self.frames))
             )),
             (None, _) => Grab::Failed(format!(
-                "{} gave nothing for {} s after {} frames",
+                "{} delivered no data for {} s after {} frames",
                 self.name.in_words(),
                 limit.as_secs_f64(),
                 self.frames
@@ -515,7 +497,7 @@ impl Stream {
         }
     }
 
-    /// The file's own time where it says more than its frame rate.
+    /// Records the file's own timestamp if it is more precise than the frame rate.
     fn note_time(&mut self, pts_ns: Option<i64>) {
         if !self.is_finite {
             return;
@@ -537,38 +519,10 @@ impl Stream {
         };
     }
 
-    /// A message about missing frames at the end of a file or pipeline that announced more.
-    fn missing(&self) -> Option<String> {
-        let (read, announced, name) = (self.frames, self.expected, self.name.in_words());
-        let State::Open(input) = &self.state else { return None };
-        let counts = |announced: u64| {
-            (announced > read + HEADER_ERROR_FRAMES + read / 100).then(|| {
-                format!(
-                    "{name} ended after {read} of {announced} frames: it is cut off or damaged, or a frame in it cannot be decoded"
-                )
-            })
-        };
-        let Some(length) = self.length else { return counts(announced) };
-        // Frames may lie at any distance, so only the time of the last one says whether the file is whole.
-        let (length_s, reached_s) = (length.as_secs_f64(), input.reached().as_secs_f64());
-        let frame_s = self.fps.map_or(0.0, |fps| 1.0 / fps);
-        // The container's clock may have begun hours before the first frame, and its length count from there or from the first frame.
-        let begin_s = self.before.map_or(0.0, |(_, last_s)| (reached_s - last_s - frame_s).max(0.0));
-        let (end_s, span_s) =
-            if begin_s < length_s { (reached_s, length_s - begin_s) } else { (reached_s - begin_s, length_s) };
-        let slack_s = HEADER_ERROR_FRAMES as f64 * frame_s + span_s / 100.0 + self.max_step_s;
-        if end_s + slack_s < length_s {
-            return Some(format!(
-                "{name} ended at {end_s:.1} of {length_s:.1} s, after {read} frames: it is cut off or damaged, or a frame in it cannot be decoded"
-            ));
-        }
-        if input.has_damage() { counts(announced) } else { None }
-    }
-
-    /// Moves the picture that was grabbed to `out`.
+    /// Moves the grabbed frame to `out`.
     ///
     /// # Errors
-    /// [`CaptureError::Frame`]. `out` is empty then.
+    /// [`CaptureError::Frame`]; `out` is empty then.
     pub fn retrieve(&mut self, out: &mut Picture) -> Result<(), CaptureError> {
         out.clear();
         match self.current.take().unwrap_or(Err(FrameError::NotThere)) {
@@ -590,12 +544,12 @@ impl Stream {
         Controls::open(&PathBuf::from(format!("/dev/video{number}")))
     }
 
-    /// Values that the device's automatics have set.
+    /// Values that the device's automatic controls have chosen.
     pub fn automatic_values(&self) -> Lock {
         self.controls().map(|controls| controls.automatic_values()).unwrap_or_default()
     }
 
-    /// Switches the automatics off and sets `lock`, after a reconnection too. Returns whether the driver accepted all values.
+    /// Switches the automatic controls off and sets `lock`, also after reconnecting. Returns whether the driver accepted all values.
     pub fn set_lock(&mut self, lock: Lock) -> bool {
         self.lock = lock;
         self.apply_lock()
@@ -606,12 +560,12 @@ impl Stream {
     }
 }
 
-/// The next attempt after twice the pause.
+/// Schedules the next attempt after twice the pause.
 fn again(wait: Duration, now_ns: i64) -> State {
     waiting((wait * 2).min(MAX_WAIT), now_ns)
 }
 
-/// The next attempt after a pause.
+/// Schedules the next attempt after a pause.
 fn waiting(wait: Duration, now_ns: i64) -> State {
     State::Waiting(now_ns.saturating_add(wait.as_nanos() as i64), wait)
 }

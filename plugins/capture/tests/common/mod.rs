@@ -1,4 +1,4 @@
-//! Folders of pictures and videos, and the node that reads them.
+//! Folders of images and videos, and the node that reads them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,10 @@ use panoscope_node::harness::{Harness, HarnessError, Level, Outputs, Setup};
 
 pub const WIDTH: usize = 16;
 pub const HEIGHT: usize = 8;
-/// Longest wait for something that comes.
+/// Time limit for anything a test waits for.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A folder of its own, removed at the end.
+/// A separate folder, removed at the end.
 pub struct Folder(pub PathBuf);
 
 impl Folder {
@@ -60,7 +60,7 @@ impl Drop for Folder {
     }
 }
 
-/// First byte of an output's picture.
+/// First byte of an output's image.
 pub fn value(out: &Outputs, port: &str) -> u8 {
     out.plane::<Bgr8>(port).unwrap().data[0]
 }
@@ -76,7 +76,7 @@ pub fn drain(node: &mut Harness<Capture>) -> Vec<Outputs> {
     }
 }
 
-/// The same, up to and with the first failure.
+/// Ticks up to and including the first failure.
 pub fn drain_to_failure(node: &mut Harness<Capture>) -> (Vec<Outputs>, Option<String>) {
     let mut all = Vec::new();
     loop {
@@ -88,7 +88,7 @@ pub fn drain_to_failure(node: &mut Harness<Capture>) -> (Vec<Outputs>, Option<St
     }
 }
 
-/// Calls until `wanted`, or too long.
+/// Calls the node until `wanted`; fails after [`PATIENCE`].
 pub fn until(node: &mut Harness<Capture>, mut wanted: impl FnMut(&Outputs) -> bool) -> Result<Outputs, HarnessError> {
     let begin = Instant::now();
     loop {
@@ -100,7 +100,7 @@ pub fn until(node: &mut Harness<Capture>, mut wanted: impl FnMut(&Outputs) -> bo
     }
 }
 
-/// Whether a warning holds `words`.
+/// Whether a warning contains `words`.
 pub fn warned(node: &Harness<Capture>, words: &str) -> bool {
     node.logs().iter().any(|line| line.level == Level::Warn && line.message.contains(words))
 }
@@ -152,7 +152,7 @@ fn finish(pipeline: &gst::Pipeline, feed: impl FnOnce()) {
     }
 }
 
-/// A buffer of BGR pixels with its time; `index` is the picture's place in the stream.
+/// A buffer of BGR pixels with its timestamp; `index` is the frame's position in the stream.
 pub fn buffer(bgr: Vec<u8>, index: usize, fps: f64) -> gst::Buffer {
     let time = |index: usize| gst::ClockTime::from_nseconds((index as f64 * 1e9 / fps).round() as u64);
     let mut buffer = gst::Buffer::from_mut_slice(bgr);
@@ -167,7 +167,7 @@ pub fn bgr_caps((width, height): (usize, usize), fps: f64) -> String {
     format!("video/x-raw,format=BGR,width={width},height={height},framerate={}/{}", rate.numer(), rate.denom())
 }
 
-/// Writes BGR frames, each with its place in the stream, through the elements `encoder`.
+/// Writes BGR frames, each with its position in the stream, through the elements `encoder`.
 pub fn encode(
     path: &Path,
     fps: f64,
@@ -194,7 +194,7 @@ pub fn encode(
 /// Rows of the number at the top of a [`scene`].
 const NUMBER_ROWS: usize = 32;
 
-/// BGR pixels of picture `number` of a stream: the number's 16 lower bits as black and white blocks, above a texture that moves with every picture.
+/// BGR pixels of frame `number` of a stream: the number's 16 lower bits as black and white blocks, above a texture that moves with every frame.
 pub fn scene(number: usize, (width, height): (usize, usize)) -> Vec<u8> {
     let mut bgr = Vec::with_capacity(3 * width * height);
     for y in 0..height {
@@ -211,7 +211,7 @@ pub fn scene(number: usize, (width, height): (usize, usize)) -> Vec<u8> {
     bgr
 }
 
-/// The number that is drawn into a picture; `None` where a block is neither black nor white.
+/// The number that is drawn into an image; `None` where a block is neither black nor white.
 pub fn number(out: &Outputs, port: &str) -> Option<usize> {
     let plane = out.plane::<Bgr8>(port).unwrap();
     (0..16).try_fold(0, |sum, bit| {

@@ -1,4 +1,4 @@
-//! What is done with a message that arrived: requests are answered, data goes to the nodes.
+//! Handles received messages: answers requests, passes data to the nodes.
 
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Weak};
@@ -10,13 +10,13 @@ use panoscope_igtl::{Content, IgtlError, Message, Raw, Timestamp};
 use super::peer::{Outgoing, Peer};
 use super::{Shared, lock, utc_ns};
 
-/// Answers of one kind that wait: a program that asks without reading gets the newest ones.
+/// Maximum number of waiting answers of one kind. A program that asks without reading gets only the newest ones.
 const MAX_ANSWERS: usize = 16;
 
 /// Handles one message.
 ///
 /// # Errors
-/// A request that cannot be read. The content of data is read by the nodes that take it.
+/// A request is malformed. The content of data is parsed by the nodes that take it.
 pub fn take(peer: &Peer, shared: &Shared, raw: &Raw<'_>) -> Result<(), IgtlError> {
     let kind = raw.header.kind.as_ref();
     if kind.starts_with("GET_") || kind.starts_with("STT_") || kind.starts_with("STP_") {
@@ -69,7 +69,7 @@ fn answer(peer: &Peer, shared: &Shared, asked: &Message<'_>, query: &Query<'_>) 
     }
 }
 
-/// Answers a request for data: the newest message of the device, of any device where none is named, or an empty one.
+/// Answers a request for data: the newest message of the device, of any device if none is named, or an empty one.
 fn get(peer: &Peer, shared: &Shared, asked: &Message<'_>, kind: &'static str) {
     let newest = lock(&shared.newest);
     let is_asked =
@@ -82,7 +82,7 @@ fn get(peer: &Peer, shared: &Shared, asked: &Message<'_>, kind: &'static str) {
     }
 }
 
-/// Sends an answer with the device name and the header version of the request.
+/// Sends an answer with the device name and header version of the request.
 fn reply(peer: &Peer, asked: &Message<'_>, kind: &'static str, content: Content<'_>) {
     let mut message = Message::new(&*asked.device, Timestamp::from_unix_ns(utc_ns()), content);
     message.version = asked.version;

@@ -1,4 +1,4 @@
-//! Connects to a server, and again whenever the connection is lost.
+//! Connects to a server, and reconnects whenever the connection is lost.
 
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use super::{LinkError, Remark, Shared, connected};
 
-/// Longest wait for an answer to a connection.
+/// Time limit of a connection attempt.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);
 /// Pause between two attempts.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Starts the thread that connects.
+/// Starts the connecting thread.
 pub fn start(shared: &Arc<Shared>) -> Result<JoinHandle<()>, LinkError> {
     let own = Arc::clone(shared);
     std::thread::Builder::new().name("igtl-client".to_owned()).spawn(move || run(&own)).map_err(LinkError::Thread)
@@ -31,7 +31,7 @@ fn run(shared: &Arc<Shared>) {
                 let words = error.to_string();
                 if words != said {
                     let at = shared.endpoint.words();
-                    let message = format!("cannot connect to {at}: {words}; trying again every 0.5 s");
+                    let message = format!("cannot connect to {at}: {words}; retrying every 0.5 s");
                     shared.add_remark(Remark { is_fault: true, is_end: false, is_apart: true, words: message });
                     said = words;
                 }
@@ -43,7 +43,7 @@ fn run(shared: &Arc<Shared>) {
 
 fn connect(shared: &Shared) -> io::Result<TcpStream> {
     let endpoint = &shared.endpoint;
-    let mut last = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+    let mut last = io::Error::new(io::ErrorKind::NotFound, "the name cannot be resolved to an address");
     for address in (endpoint.address.as_str(), endpoint.port).to_socket_addrs()? {
         match TcpStream::connect_timeout(&address, CONNECT_LIMIT) {
             // On one machine a connection can meet itself where nobody listens.

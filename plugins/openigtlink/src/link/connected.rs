@@ -1,4 +1,4 @@
-//! Serves one connection: reads what arrives, and answers it.
+//! Serves one connection: reads messages and answers them.
 
 use std::net::TcpStream;
 use std::sync::atomic::Ordering;
@@ -46,12 +46,12 @@ pub fn serve(shared: &Arc<Shared>, stream: TcpStream, is_client: bool) {
         None => format!("{} closed the connection", peer.words),
     };
     // A client of ours that leaves is its own choice; a server that leaves is missed.
-    let words = if is_client { format!("{words}; connecting again") } else { words };
+    let words = if is_client { format!("{words}; reconnecting") } else { words };
     shared.add_remark(Remark { is_fault: is_client, is_end, is_apart: is_client, words });
     lock(&shared.inboxes).iter().filter_map(Weak::upgrade).for_each(|inbox: Arc<Inbox>| inbox.wake());
 }
 
-/// Reads until the connection ends; why it ended.
+/// Reads until the connection ends. Returns why it ended.
 fn read(peer: &Peer, shared: &Shared) -> Option<String> {
     let mut reader = Reader::default();
     let mut has_warned = false;
@@ -80,9 +80,9 @@ fn read(peer: &Peer, shared: &Shared) -> Option<String> {
     }
 }
 
-/// One remark per connection: a peer that sends one wrong message sends many.
+/// Logs only the first malformed message of a connection: a peer that sends one sends many.
 fn warn_once(peer: &Peer, shared: &Shared, has_warned: &mut bool, error: &IgtlError) {
     if !std::mem::replace(has_warned, true) {
-        shared.remark(true, format!("a message of {} was dropped: {error}; further ones are counted only", peer.words));
+        shared.remark(true, format!("a message of {} was dropped: {error}; further ones are only counted", peer.words));
     }
 }

@@ -1,4 +1,4 @@
-//! Messages that arrived and wait for a node.
+//! Received messages that wait for a node.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -9,9 +9,9 @@ use panoscope_igtl::Raw;
 
 use super::lock;
 
-/// Large messages of one device that wait.
+/// Maximum number of waiting large messages per device.
 const MAX_LARGE: usize = 2;
-/// From this size on a message is large.
+/// Size from which a message counts as large.
 const LARGE_BYTES: usize = 64 << 10;
 
 /// Which messages a node takes.
@@ -28,9 +28,9 @@ pub struct Received {
     pub kind: String,
     /// Device name.
     pub device: String,
-    /// Header and body; the CRC fits.
+    /// Header and body; the CRC has been checked.
     pub bytes: Vec<u8>,
-    /// When its last byte was read.
+    /// When its last byte was received.
     pub arrived: Instant,
     /// The same by the system's clock, ns since 1970.
     pub arrived_utc_ns: i128,
@@ -42,7 +42,7 @@ struct State {
     is_closed: bool,
 }
 
-/// A queue of messages. In batch mode a full one makes the connection wait, else the oldest message of the same device is dropped.
+/// A queue of messages. When it is full, the connection waits in batch mode; in live mode the oldest message of the same device is dropped.
 pub struct Inbox {
     filter: Filter,
     most: usize,
@@ -55,23 +55,23 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// A queue of `most` messages of one device.
+    /// A queue of at most `most` messages per device.
     pub fn new(filter: Filter, most: usize, is_batch: bool) -> Self {
         let (state, changed, dropped) = (Mutex::default(), Condvar::new(), AtomicU64::new(0));
         Self { filter, most: most.max(1), is_batch, state, changed, dropped, wanted: AtomicUsize::new(usize::MAX) }
     }
 
-    /// Sets which message types are taken: a bit set of the entries of [`panoscope_igtl::message::KINDS`].
+    /// Sets which message types are accepted: a bit set of the entries of [`panoscope_igtl::message::KINDS`].
     pub fn set_wanted(&self, kinds: usize) {
         self.wanted.store(kinds, Ordering::Relaxed);
     }
 
-    /// Messages dropped because the graph was slow.
+    /// Number of messages dropped because the graph was slow.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Adds a message if the node takes it.
+    /// Adds a message if the node accepts it.
     pub fn offer(&self, raw: &Raw<'_>, arrived: Instant, arrived_utc_ns: i128) {
         let header = &raw.header;
         let index = panoscope_igtl::message::KINDS.iter().position(|kind| *kind == header.kind);
@@ -102,7 +102,7 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// The oldest message; waits `limit` at most, and less when a connection ends.
+    /// Takes the oldest message. Waits up to `limit`, and returns early when a connection ends.
     pub fn take(&self, limit: Duration) -> Option<Received> {
         let mut state = lock(&self.state);
         if state.messages.is_empty() && !state.is_closed {
@@ -116,12 +116,12 @@ impl Inbox {
         message
     }
 
-    /// Wakes whoever waits in [`Self::take`].
+    /// Wakes threads that wait in [`Self::take`].
     pub fn wake(&self) {
         self.changed.notify_all();
     }
 
-    /// Takes no more messages.
+    /// Accepts no more messages.
     pub fn close(&self) {
         lock(&self.state).is_closed = true;
         self.changed.notify_all();

@@ -1,4 +1,4 @@
-//! Connections to other programs. Threads of their own read and write, so that no node waits for the network.
+//! Connections to other programs. Separate threads read and write, so that no node waits for the network.
 
 mod answer;
 mod client;
@@ -20,33 +20,24 @@ pub use inbox::{Filter, Inbox, Received};
 pub use peer::Outgoing;
 use peer::Peer;
 
-/// Programs that a server serves at a time.
+/// Maximum number of programs that a server serves at a time.
 pub const MAX_PEERS: usize = 32;
-/// Remarks that wait for a node to log them.
+/// Maximum number of remarks that wait for a node to log them.
 const MAX_REMARKS: usize = 32;
-/// Messages kept for requests.
+/// Maximum number of messages kept for requests.
 const MAX_NEWEST: usize = 256;
 
 /// Why there is no connection.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LinkError {
-    /// The address cannot be listened on.
+    /// The system does not allow listening on the address.
     #[error("cannot listen on {at}: {reason}; {help}")]
-    Listen {
-        /// Address and port.
-        at: SocketAddr,
-        /// The system's words.
-        reason: String,
-        /// What to do.
-        help: &'static str,
-    },
+    Listen { at: SocketAddr, reason: String, help: &'static str },
     /// `address` is not an IP address.
     #[error("`{address}` is not an IP address to listen on; write 127.0.0.1, 0.0.0.0 or the address of a network card")]
-    Address {
-        /// The parameter.
-        address: String,
-    },
-    /// The system gives no thread.
+    Address { address: String },
+    /// The system cannot start a thread.
     #[error("no thread could be started for the connection: {0}")]
     Thread(std::io::Error),
 }
@@ -56,16 +47,16 @@ pub enum LinkError {
 pub enum Role {
     /// Waits for programs that connect; serves up to 32 at a time.
     Server,
-    /// Connects to a program, and again whenever the connection is lost.
+    /// Connects to a program, and reconnects whenever the connection is lost.
     Client,
 }
 
-/// What identifies a connection.
+/// Key that identifies a connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint {
-    /// Who connects.
+    /// Which side connects.
     pub role: Role,
-    /// Where to listen, or where to connect to.
+    /// Address to listen on or to connect to.
     pub address: String,
     /// TCP port.
     pub port: u16,
@@ -81,21 +72,21 @@ impl Endpoint {
     }
 }
 
-/// Something that a node should log.
+/// An event that a node should log.
 #[derive(Clone, Debug)]
 pub struct Remark {
-    /// Whether it is a fault: something that is lost until it comes back.
+    /// Whether it is a fault: something is lost until it comes back.
     pub is_fault: bool,
-    /// Whether a program has closed its connection, which is how a batch ends.
+    /// Whether a program has closed its connection, which ends a batch run.
     pub is_end: bool,
-    /// Whether a client has no connection for now: it connects again by itself.
+    /// Whether a client has no connection at the moment; it reconnects by itself.
     pub is_apart: bool,
-    /// The words.
+    /// The message.
     pub words: String,
 }
 
 impl Remark {
-    /// Logs it. In live mode a peer that restarts is no fault: what it sends in between does not exist.
+    /// Logs the event. In live mode a peer that restarts is not a fault: what it would have sent meanwhile does not exist.
     pub fn log(&self, cx: &Context<'_>) {
         match self {
             Self { is_apart: true, .. } if !cx.is_batch() => cx.warn(&self.words),
@@ -105,20 +96,20 @@ impl Remark {
     }
 }
 
-/// Counts since the link was made.
+/// Counts since the link was created.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
-    /// Connections.
+    /// Number of connections now.
     pub peers: usize,
-    /// Messages written.
+    /// Number of messages written.
     pub sent: u64,
-    /// Messages that were dropped because a program was slow.
+    /// Number of messages dropped because a program was slow.
     pub dropped: u64,
-    /// Messages received, without requests.
+    /// Number of messages received, without requests.
     pub received: u64,
-    /// Messages received whose CRC or content was wrong.
+    /// Number of messages received with a wrong CRC or malformed content.
     pub damaged: u64,
-    /// Messages received of types that are not known.
+    /// Number of messages received of unknown types.
     pub skipped: u64,
 }
 
@@ -134,14 +125,14 @@ struct Totals {
 /// Type and device of a message.
 type Name = (&'static str, String);
 
-/// What the threads of a link share.
+/// State that the threads of a link share.
 struct Shared {
     endpoint: Endpoint,
     is_stopping: AtomicBool,
-    /// Wakes threads that pause.
+    /// Wakes threads that sleep in `pause`.
     pause: (Mutex<()>, Condvar),
     peers: Mutex<Vec<Arc<Peer>>>,
-    /// Connections there have been.
+    /// Number of connections so far.
     connected: AtomicU64,
     inboxes: Mutex<Vec<Weak<Inbox>>>,
     /// The newest message of each device, for `GET_` requests.
@@ -173,7 +164,7 @@ impl Shared {
         self.is_stopping.load(Ordering::Acquire)
     }
 
-    /// Sleeps, unless the link ends meanwhile.
+    /// Sleeps, but returns early when the link ends.
     fn pause(&self, time: Duration) {
         let guard = lock(&self.pause.0);
         if !self.is_stopping() {
@@ -202,7 +193,7 @@ impl Shared {
     }
 }
 
-/// A server with its clients, or a connection to a server. Ends when it is dropped.
+/// A server with its clients, or a connection to a server. Closed when dropped.
 pub struct Link {
     shared: Arc<Shared>,
     bound: Option<SocketAddr>,
@@ -212,7 +203,7 @@ pub struct Link {
 static LINKS: Mutex<Vec<(Endpoint, Weak<Link>)>> = Mutex::new(Vec::new());
 
 impl Link {
-    /// The link of an endpoint, or a new one. Port 0 always gives a new one.
+    /// The link of an endpoint, or a new one. Port 0 always makes a new one.
     ///
     /// # Errors
     /// A server cannot listen.
@@ -240,12 +231,12 @@ impl Link {
         Ok(Self { shared, bound, threads: vec![thread] })
     }
 
-    /// Where a server listens.
+    /// Address on which a server listens.
     pub fn bound(&self) -> Option<SocketAddr> {
         self.bound
     }
 
-    /// Where it listens or connects to, in words.
+    /// Where it listens or connects to, as text.
     pub fn words(&self) -> String {
         self.bound.map_or_else(|| self.shared.endpoint.words(), |bound| bound.to_string())
     }
@@ -255,7 +246,7 @@ impl Link {
         !lock(&self.shared.peers).is_empty()
     }
 
-    /// Whether every program that was connected has left, and there was one.
+    /// Whether every program that was connected has left, and there was at least one.
     pub fn has_ended(&self) -> bool {
         self.shared.connected.load(Ordering::Acquire) > 0 && !self.is_connected()
     }
@@ -265,8 +256,8 @@ impl Link {
         lock(&self.shared.peers).iter().any(|peer| peer.is_asked_for(kind))
     }
 
-    /// Queues a message for every program that takes its type. Without any, the message is forgotten. With `wait`, waits for a full queue to
-    /// have room instead of dropping its oldest message.
+    /// Queues a message for every program that accepts its type. Without any, the message is dropped. With `wait`, it waits for room in a full queue
+    /// instead of dropping the oldest message.
     pub fn send(&self, message: &Outgoing, wait: bool) {
         let peers: Vec<Arc<Peer>> = lock(&self.shared.peers).clone();
         let mut newest = lock(&self.shared.newest);
@@ -286,7 +277,7 @@ impl Link {
         }
     }
 
-    /// Adds a queue for messages that arrive.
+    /// Adds a queue for received messages.
     pub fn subscribe(&self, filter: Filter, most: usize, is_batch: bool) -> Arc<Inbox> {
         let inbox = Arc::new(Inbox::new(filter, most, is_batch));
         let mut inboxes = lock(&self.shared.inboxes);
@@ -295,7 +286,7 @@ impl Link {
         inbox
     }
 
-    /// Waits until the queued messages are written, `limit` at most. Returns how many were not.
+    /// Waits until the queued messages are written, at most `limit`. Returns how many are not.
     pub fn drain(&self, limit: Duration) -> usize {
         let begin = Instant::now();
         loop {
@@ -307,12 +298,12 @@ impl Link {
         }
     }
 
-    /// Remarks since the last call.
+    /// Takes the remarks since the last call.
     pub fn remarks(&self) -> Vec<Remark> {
         std::mem::take(&mut *lock(&self.shared.remarks))
     }
 
-    /// Counts so far.
+    /// Counts since the link was created.
     pub fn counts(&self) -> Counts {
         let totals = &self.shared.totals;
         Counts {

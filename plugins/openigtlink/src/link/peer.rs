@@ -1,4 +1,4 @@
-//! One connected program: a queue of what it is to get, a thread that writes, a thread that reads.
+//! One connected program: a queue of messages to send, a thread that writes, a thread that reads.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::Write;
@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 
 use super::{Shared, lock};
 
-/// A program that takes no byte for this long is given up.
+/// A program that reads nothing for this long is disconnected.
 const WRITE_LIMIT: Duration = Duration::from_secs(5);
-/// Large messages of one device that wait: the newest matters, and each takes megabytes.
+/// Maximum number of waiting large messages per device: only the newest matters, and each takes megabytes.
 const MAX_LARGE: usize = 2;
-/// From this size on a message is large.
+/// Size from which a message counts as large.
 const LARGE_BYTES: usize = 64 << 10;
 
 /// A message to send.
@@ -25,20 +25,20 @@ pub struct Outgoing {
     pub device: String,
     /// Header and body.
     pub bytes: Arc<Vec<u8>>,
-    /// Whether programs get the type without asking for it.
+    /// Whether programs get the type without a request.
     pub is_pushed: bool,
-    /// Whether it answers a request: then it goes out whatever was started or stopped.
+    /// Whether it answers a request: it is then sent even if its type was stopped.
     pub is_answer: bool,
-    /// Messages of this device that may wait.
+    /// Maximum number of waiting messages of this device.
     pub most: usize,
 }
 
-/// What a program wants of one message type.
+/// A program's subscription to one message type.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flow {
-    /// It asked to start (`true`) or to stop.
+    /// Whether it asked to start (`true`) or to stop; `None` if it asked for neither.
     asked: Option<bool>,
-    /// Least time between two messages of one device.
+    /// Minimum time between two messages of one device.
     interval: Duration,
 }
 
@@ -54,14 +54,14 @@ struct Queue {
     items: VecDeque<Item>,
     /// By message type.
     flows: BTreeMap<&'static str, Flow>,
-    /// When the newest message of a device was queued, where an interval was asked for.
+    /// When the newest message of each device was queued, if an interval was requested.
     last: BTreeMap<(&'static str, String), Instant>,
     is_closed: bool,
 }
 
 /// One connected program.
 pub struct Peer {
-    /// Its address.
+    /// Address of the program, as text.
     pub words: String,
     pub(super) stream: TcpStream,
     queue: Mutex<Queue>,
@@ -92,12 +92,12 @@ impl Peer {
         let _ = self.stream.shutdown(Shutdown::Both);
     }
 
-    /// Whether it asked for a message type.
+    /// Whether it requested a message type.
     pub fn is_asked_for(&self, kind: &str) -> bool {
         lock(&self.queue).flows.get(kind).is_some_and(|flow| flow.asked == Some(true))
     }
 
-    /// Messages that are not written yet.
+    /// Number of messages that are not written yet.
     pub fn waiting(&self) -> usize {
         let queue = lock(&self.queue);
         if queue.is_closed { 0 } else { queue.items.len() + usize::from(self.is_writing.load(Ordering::Acquire)) }
@@ -108,7 +108,7 @@ impl Peer {
         lock(&self.queue).flows.insert(kind, Flow { asked: Some(is_on), interval });
     }
 
-    /// Queues a message if the program takes its type. Returns how many were dropped for it.
+    /// Queues a message if the program accepts its type. Returns how many were dropped for it.
     pub fn offer(&self, message: &Outgoing, wait: bool) -> u64 {
         let mut queue = lock(&self.queue);
         let flow = queue.flows.get(message.kind).copied().unwrap_or_default();
@@ -145,7 +145,7 @@ impl Peer {
         dropped
     }
 
-    /// Writes what is queued until the connection ends.
+    /// Writes queued messages until the connection ends.
     pub(super) fn write(&self, shared: &Shared) {
         loop {
             let mut queue = lock(&self.queue);
@@ -169,7 +169,8 @@ impl Peer {
                 Err(error) => {
                     if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) {
                         let limit_s = WRITE_LIMIT.as_secs();
-                        shared.remark(true, format!("{} took nothing for {limit_s} s and was given up", self.words));
+                        shared
+                            .remark(true, format!("{} read nothing for {limit_s} s and was disconnected", self.words));
                     }
                     self.close();
                     return;

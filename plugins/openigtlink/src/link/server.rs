@@ -1,4 +1,4 @@
-//! Waits for programs that connect.
+//! Accepts connections of programs.
 
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::Arc;
@@ -7,20 +7,20 @@ use std::time::Duration;
 
 use super::{LinkError, MAX_PEERS, Shared, connected, lock};
 
-/// How often new connections are looked for.
+/// Interval at which new connections are accepted.
 const STEP: Duration = Duration::from_millis(20);
 
 fn refused(at: SocketAddr, error: &std::io::Error) -> LinkError {
     let help = match error.kind() {
         std::io::ErrorKind::AddrInUse => "another program uses this port: give another `port`, or end that program",
         std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: see `ip address`",
-        std::io::ErrorKind::PermissionDenied => "ports below 1024 need root: give a `port` above",
+        std::io::ErrorKind::PermissionDenied => "ports below 1024 need root: choose a higher `port`",
         _ => "give another `address` or `port`",
     };
     LinkError::Listen { at, reason: error.to_string(), help }
 }
 
-/// Listens, and starts the thread that accepts connections. Returns where it listens.
+/// Listens, and starts the thread that accepts connections. Returns the thread and the address.
 pub fn start(shared: &Arc<Shared>) -> Result<(JoinHandle<()>, SocketAddr), LinkError> {
     let address = &shared.endpoint.address;
     let ip: IpAddr = address.parse().map_err(|_| LinkError::Address { address: address.clone() })?;
@@ -44,7 +44,7 @@ fn accept(shared: &Arc<Shared>, listener: &TcpListener) {
             continue;
         };
         if lock(&shared.peers).len() >= MAX_PEERS || threads.len() >= MAX_PEERS {
-            shared.remark(true, format!("{address} was turned away: {MAX_PEERS} programs are connected already"));
+            shared.remark(true, format!("{address} was refused: {MAX_PEERS} programs are already connected"));
             continue;
         }
         // A socket may inherit the listener's mode.
@@ -57,9 +57,7 @@ fn accept(shared: &Arc<Shared>, listener: &TcpListener) {
             .spawn(move || connected::serve(&own, stream, false));
         match spawned {
             Ok(thread) => threads.push(thread),
-            Err(error) => {
-                shared.remark(true, format!("{address} was turned away: no thread could be started: {error}"))
-            }
+            Err(error) => shared.remark(true, format!("{address} was refused: no thread could be started: {error}")),
         }
     }
     for thread in threads {

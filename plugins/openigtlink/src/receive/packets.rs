@@ -1,4 +1,4 @@
-//! Contents of messages as packets.
+//! Converts contents of messages to packets.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,17 +12,17 @@ use super::Out;
 
 /// Columns of `points`.
 pub const COLUMNS: [&str; 4] = ["x_mm", "y_mm", "z_mm", "radius_mm"];
-/// Maximum number of devices whose pictures are kept for parts of later ones.
+/// Maximum number of devices whose images are kept for later partial images.
 const MAX_PICTURES: usize = 8;
-/// Largest picture that is put together from parts, bytes.
+/// Maximum size of an image that is assembled from parts, bytes.
 const MAX_PICTURE_BYTES: usize = 64 << 20;
 
-/// Names of the frames of a pose as the parameters have them.
+/// Names of the frames of a pose, from the parameters.
 #[derive(Clone, Copy)]
 pub struct Frames<'a> {
-    /// To which it maps.
+    /// The frame to which the pose maps.
     pub a: &'a str,
-    /// From which it maps.
+    /// The frame from which the pose maps.
     pub b: &'a str,
 }
 
@@ -40,7 +40,7 @@ impl Frames<'_> {
     }
 }
 
-/// A picture that is put together from parts.
+/// An image that is assembled from parts.
 #[derive(Debug, PartialEq)]
 struct Whole {
     size: [u16; 3],
@@ -49,7 +49,7 @@ struct Whole {
     pixels: Vec<u8>,
 }
 
-/// Makes packets; keeps what later messages complete.
+/// Converts messages to packets; keeps what later messages complete.
 #[derive(Default)]
 pub struct Packets {
     wholes: BTreeMap<String, Whole>,
@@ -57,15 +57,15 @@ pub struct Packets {
     names: String,
 }
 
-/// Why a content is not passed on; `None` when it was.
+/// Why content is not passed on; `None` when it was.
 type Refusal = Option<String>;
 
 impl Packets {
-    /// A picture, whole or in parts.
+    /// Writes an image, complete or in parts.
     pub fn image(&mut self, image: &Image<'_>, device: &str, out: &mut Slot<'_, AnyFormat>) -> Result<Refusal> {
         let [width, height, depth] = image.size.map(usize::from);
         if depth != 1 || width == 0 || height == 0 {
-            return Ok(Some(format!("it has {width} x {height} x {depth} pixels, pictures have one slice")));
+            return Ok(Some(format!("it has {width} x {height} x {depth} pixels, but an image has one slice")));
         }
         if image.is_whole() {
             return write(image, image.pixels, out);
@@ -73,7 +73,9 @@ impl Packets {
         let pixel = usize::from(image.components) * image.scalar.bytes();
         let bytes = width * height * pixel;
         if bytes > MAX_PICTURE_BYTES {
-            return Ok(Some(format!("it comes in parts and has {bytes} bytes, {MAX_PICTURE_BYTES} are the most")));
+            return Ok(Some(format!(
+                "it comes in parts, and its {bytes} bytes exceed the limit of {MAX_PICTURE_BYTES}"
+            )));
         }
         let same = |whole: &Whole| {
             (whole.size, whole.components, whole.scalar) == (image.size, image.components, image.scalar)
@@ -97,7 +99,7 @@ impl Packets {
         write(image, &whole.pixels, out)
     }
 
-    /// Poses and points.
+    /// Writes poses and points.
     pub fn places(&mut self, message: &Message<'_>, frames: Frames<'_>, out: &mut Out<'_>) -> Result<Refusal> {
         self.rows.clear();
         self.names.clear();
@@ -108,7 +110,7 @@ impl Packets {
                 self.row(&message.device, transform.translation_mm, 0.0);
                 pose = rigid(transform);
                 if pose.is_none() {
-                    refusal = Some("it is not a rotation with a translation, so it is no pose".to_owned());
+                    refusal = Some("it is not a pose: the transform is not a rotation with a translation".to_owned());
                 }
             }
             Content::Position(position) => {
@@ -153,13 +155,13 @@ impl Packets {
     }
 }
 
-/// Rotation as quaternion w, x, y, z, and translation in mm; `None` for other transforms.
+/// Rotation as quaternion w, x, y, z, and translation in mm; `None` if the transform is not rigid.
 fn rigid(transform: &Transform) -> Option<([f64; 4], [f64; 3])> {
     let at = transform.translation_mm.map(f64::from);
     Some((transform.quaternion()?, at)).filter(|_| at.iter().all(|mm| mm.is_finite()))
 }
 
-/// Writes `pixels`, which has the size of the whole image.
+/// Writes `pixels`, which has the size of the complete image.
 fn write(image: &Image<'_>, pixels: &[u8], out: &mut Slot<'_, AnyFormat>) -> Result<Refusal> {
     let [width, height, _] = image.size.map(usize::from);
     let is_big = image.endian == Endian::Big;
@@ -199,13 +201,13 @@ fn write(image: &Image<'_>, pixels: &[u8], out: &mut Slot<'_, AnyFormat>) -> Res
             }
         }
         (components, scalar) => {
-            return Ok(Some(format!("{components} components of {scalar:?} are no picture format")));
+            return Ok(Some(format!("{components} components of {scalar:?} are not a supported image format")));
         }
     }
     Ok(None)
 }
 
-/// A number of a pixel.
+/// Reads one number of a pixel.
 fn number(scalar: Scalar, bytes: &[u8], is_big: bool) -> f32 {
     let mut ordered = [0; 8];
     let ordered = &mut ordered[..bytes.len()];
@@ -226,7 +228,7 @@ fn number(scalar: Scalar, bytes: &[u8], is_big: bool) -> f32 {
     }
 }
 
-/// The points of a surface.
+/// Writes the points of a surface.
 pub fn cloud(data: &PolyData<'_>, out: &mut Slot<'_, PointCloud>) -> Result<Refusal> {
     let count = data.points_mm.len();
     if count == 0 {

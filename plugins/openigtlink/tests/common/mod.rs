@@ -1,4 +1,4 @@
-//! Nodes in one-node hosts, and programs at the other end.
+//! Nodes in one-node hosts, and peer programs.
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
@@ -80,7 +80,7 @@ pub fn fill(node: &mut Harness<Send>) {
     node.input_text("text", "a text");
 }
 
-/// Sends one packet of each kind at 100 Hz until something has happened.
+/// Sends one packet of each kind at 100 Hz until `done`.
 pub fn send_until(node: &mut Harness<Send>, what: &str, mut done: impl FnMut(&Harness<Send>) -> bool) {
     let end = Instant::now() + PATIENCE;
     while !done(node) {
@@ -91,7 +91,7 @@ pub fn send_until(node: &mut Harness<Send>, what: &str, mut done: impl FnMut(&Ha
     }
 }
 
-/// Receives until something has happened.
+/// Receives until `done`.
 pub fn receive_until(node: &mut Harness<Receive>, what: &str, mut done: impl FnMut(&Outputs) -> bool) {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -104,7 +104,7 @@ pub fn receive_until(node: &mut Harness<Receive>, what: &str, mut done: impl FnM
     }
 }
 
-/// A program at the other end, ended with the test.
+/// A peer program; killed when dropped.
 pub struct Peer {
     child: Child,
     lines: Receiver<String>,
@@ -130,7 +130,7 @@ impl Peer {
         self.lines.try_iter().collect()
     }
 
-    /// Waits for a line.
+    /// Waits for a printed line.
     pub fn wait_for(&self, line: &str) {
         let end = Instant::now() + PATIENCE;
         while Instant::now() < end {
@@ -169,7 +169,7 @@ pub fn peers() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers"))
 }
 
-/// The program on the OpenIGTLink library; `None` where the library is not there.
+/// The peer program built on the OpenIGTLink library; `None` if the library is not installed.
 pub fn library_peer() -> Option<PathBuf> {
     if !Path::new("/usr/include/openigtlink/igtlMessageBase.h").is_file() {
         return None;
@@ -185,7 +185,7 @@ pub fn library_peer() -> Option<PathBuf> {
     Some(program)
 }
 
-/// Python with pyigtl; `None` where it is not there.
+/// Python with pyigtl; `None` if it is not installed.
 pub fn pyigtl_peer() -> Option<Command> {
     let python = || {
         let mut python = Command::new("python3");

@@ -1,4 +1,4 @@
-//! `phantom`: a rendered scene seen by two or four cameras, with exact truth.
+//! `phantom`: a rendered scene seen by two or four cameras, with exact ground truth.
 
 mod calibration;
 mod params;
@@ -14,10 +14,10 @@ use calibration::calibration;
 use params::{DropViews, Layout, PhantomParams};
 use ports::{In, Out};
 
-/// Columns of `clearance`: places in the left camera's frame; distances below 0 lie inside the tissue; NaN where there is no other tip.
+/// Columns of `clearance`: positions are in the left camera's frame; distances below 0 are inside the tissue; NaN where there is no other tip.
 const CLEARANCE: [&str; 8] = ["track_id", "class_index", "seen", "x_mm", "y_mm", "z_mm", "tissue_mm", "tip_mm"];
 
-/// See the module.
+/// The `phantom` node.
 pub struct PhantomNode {
     phantom: Phantom,
     frame: u64,
@@ -25,11 +25,11 @@ pub struct PhantomNode {
     canvas: Canvas,
     labels: String,
     tools: ToolBuffers,
-    /// Buffer for a dropped view.
+    /// Buffer for a view that is dropped.
     unseen: Vec<u8>,
 }
 
-/// Buffers of the instruments' truth, reused from tick to tick.
+/// Buffers of the instruments' ground truth, reused from tick to tick.
 #[derive(Default)]
 struct ToolBuffers {
     ids: Vec<u8>,
@@ -44,7 +44,7 @@ impl Node for PhantomNode {
     const INFO: NodeInfo = NodeInfo::compute(
         "phantom",
         "source",
-        "Renders a tissue-like scene for two or four parallel cameras at a scope's tip, with exact truth.",
+        "Renders a tissue-like scene for two or four parallel cameras at a scope's tip, with exact ground truth.",
     )
     .source();
     type In<'f> = In<'f>;
@@ -57,7 +57,7 @@ impl Node for PhantomNode {
         }
         for (index, model) in params.rig().cameras.iter().enumerate() {
             if let Err(error) = Lens::check(model, index) {
-                let help = "bring `distortion_k1` and `distortion_k2` nearer to 0, or raise `zoom`";
+                let help = "set `distortion_k1` and `distortion_k2` nearer to 0, or increase `zoom`";
                 check.error("distortion_k1", error.to_string(), help);
                 break;
             }
@@ -66,7 +66,7 @@ impl Node for PhantomNode {
         let is_read = ["wide", "footprint"].map(|port| check.is_read(port) == Some(true));
         if is_read.contains(&true) && canvas.width.max(canvas.height) > MAX_WIDE_PX {
             let message = format!(
-                "the `wide` picture would have {}x{} px, {MAX_WIDE_PX} are the most",
+                "the `wide` image would have {}x{} px, which exceeds the limit of {MAX_WIDE_PX} px a side",
                 canvas.width, canvas.height
             );
             check.error("wide_factor", message, "lower `wide_factor`, or the size of the views");
@@ -197,7 +197,7 @@ impl PhantomNode {
         Ok(())
     }
 
-    /// Boxes, masks and tip of the instruments.
+    /// Writes boxes, masks and tips of the instruments.
     fn tools(&mut self, cx: &Context<'_>, frame: u64, pose: Option<Pose>, out: &mut Out<'_>) -> Result<()> {
         let read = [out.detections.is_read(), out.instances.is_read(), out.tip.is_read(), out.lead.is_read()];
         if !read.contains(&true) && !out.second.is_read() && !out.clearance.is_read() {

@@ -1,4 +1,4 @@
-//! Parameters of `phantom`, and the scene that they describe.
+//! Parameters of `phantom`, and their conversion to a scene.
 
 use panoscope_imaging::stereo::Equidistant;
 use panoscope_node::{Choice, NodeError, Params, Result};
@@ -7,7 +7,7 @@ use crate::render::{
     BlackOut, BoardPrint, CameraPath, Canvas, Incident, IncidentKind, Rig, SceneKind, SceneParams, ToolKind, ToolMotion,
 };
 
-/// Which scene is rendered.
+/// Scene to render.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Scene {
     /// Smooth lobes with thin vessels.
@@ -18,8 +18,7 @@ pub enum Scene {
     Cavity,
     /// A phantom box with rulers and blocks of known size.
     Box,
-    /// A flat calibration board, in another pose each tick while `speed_mm_s` is not 0; from about 85 mm both cameras see all
-    /// of it.
+    /// A flat calibration board, in another pose each tick while `speed_mm_s` is not 0. From about 85 mm on both cameras see the complete board.
     Board,
 }
 
@@ -37,7 +36,7 @@ pub enum Board {
 /// Views that are missing in a dropped tick.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum DropViews {
-    /// All outputs.
+    /// All views.
     All,
     /// The left view.
     Left,
@@ -54,38 +53,38 @@ pub enum Layout {
     Quad,
 }
 
-/// Lens of the cameras.
+/// Lens model of the cameras.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum LensChoice {
-    /// Straight, with OpenCV's radial distortion.
+    /// Pinhole with OpenCV's radial distortion.
     Pinhole,
     /// A fisheye (Kannala and Brandt; OpenCV's `fisheye`).
     Equidistant,
 }
 
-/// Camera whose picture goes black.
+/// Camera whose image goes black.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum BlackCamera {
-    /// None.
+    /// No camera.
     None,
-    /// The left one.
+    /// The left camera.
     Left,
-    /// The right one.
+    /// The right camera.
     Right,
 }
 
 /// Kind of incident.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum IncidentChoice {
-    /// Nothing.
+    /// No incident.
     None,
     /// Dense smoke before both cameras.
     Smoke,
-    /// The scope shakes: each picture is blurred over about 40 px.
+    /// The scope shakes: each image is blurred over about 40 px.
     Blur,
     /// The scope jumps to another position and stays there.
     Jump,
-    /// Tissue lies on the lens of the last camera.
+    /// Tissue covers the lens of the last camera.
     Covered,
 }
 
@@ -94,7 +93,7 @@ pub enum IncidentChoice {
 pub enum PathChoice {
     /// Seeded swings about its resting position.
     Sway,
-    /// Laps on a circle parallel to the tissue; each ends where it began.
+    /// Circles parallel to the tissue; each ends where it began.
     Ring,
     /// Along the tissue, alternately nearer and farther, always at `speed_mm_s`.
     Glide,
@@ -105,7 +104,7 @@ pub enum PathChoice {
 pub enum Motion {
     /// Slow swings about a seeded position, like all other instruments.
     Sway,
-    /// At rest in front of the centre of the picture that both cameras share.
+    /// At rest in front of the centre of the image region that both cameras share.
     Still,
     /// Steps of 12 mm to the side and back at up to 25 mm/s, every 4 s.
     Step,
@@ -115,7 +114,7 @@ pub enum Motion {
     Circle,
     /// Strokes like a surgeon's at up to 25 mm/s.
     Strokes,
-    /// Leaves the picture at up to 150 mm/s and returns at 40 mm/s, every 12 s.
+    /// Leaves the image at up to 150 mm/s and returns at 40 mm/s, every 12 s.
     Leave,
     /// Rests while the second instrument passes in front of it.
     Cross,
@@ -124,31 +123,31 @@ pub enum Motion {
 /// Parameters of the phantom.
 #[derive(Params, Clone, PartialEq)]
 pub struct PhantomParams {
-    /// Scene that is rendered.
+    /// Scene to render.
     #[param(default = "bowel", reopen)]
     pub scene: Scene,
     /// Pattern of the board in the scene `board`.
     #[param(default = "chessboard", reopen)]
     pub board: Board,
-    /// Seed of all random numbers: the same seed gives the same pictures on every machine.
+    /// Seed of all random numbers: the same seed gives the same images on every machine.
     #[param(default = 7, range = 0..=1_000_000_000, reopen)]
     pub seed: u64,
     /// Arrangement of the cameras.
     #[param(default = "stereo", reopen)]
     pub layout: Layout,
-    /// Picture width of each camera.
+    /// Image width of each camera.
     #[param(default = 640, range = 64..=3840, unit = "px", reopen)]
     pub width: u32,
-    /// Picture height of each camera.
+    /// Image height of each camera.
     #[param(default = 480, range = 48..=2160, unit = "px", reopen)]
     pub height: u32,
-    /// Distance of neighbouring cameras.
+    /// Distance between neighbouring cameras.
     #[param(default = 15.0, range = 1.0..=40.0, step = 0.5, unit = "mm", reopen)]
     pub baseline_mm: f64,
     /// Mean distance from the resting left camera to the tissue.
     #[param(default = 50.0, range = 15.0..=150.0, step = 1.0, unit = "mm", reopen)]
     pub distance_mm: f64,
-    /// Pictures per second of media time.
+    /// Frames per second of media time.
     #[param(default = 30.0, range = 1.0..=240.0, step = 1.0, unit = "Hz", reopen)]
     pub rate_hz: f64,
     /// Height of the tissue's relief; 0 is a plane. No effect on `box` and `board`.
@@ -160,22 +159,22 @@ pub struct PhantomParams {
     /// Diameter of the path `ring`.
     #[param(default = 40.0, range = 1.0..=100.0, step = 1.0, unit = "mm", reopen)]
     pub path_mm: f64,
-    /// Top speed of the scripted camera; 0 stands still.
+    /// Maximum speed of the scripted camera; 0 keeps it still.
     #[param(default = 10.0, range = 0.0..=200.0, step = 0.5, unit = "mm/s", reopen)]
     pub speed_mm_s: f64,
     /// Amplitude of breathing.
     #[param(default = 1.0, range = 0.0..=5.0, step = 0.1, unit = "mm", reopen)]
     pub breathing_mm: f64,
-    /// Strength of highlights.
+    /// Strength of specular highlights.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.1, unit = "ratio", reopen)]
     pub specular: f32,
     /// Strength of vessels, mottling, flecks and grain; 0 is smooth tissue of one colour.
     #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
     pub texture: f32,
-    /// Light that reaches the sensors. Less light gives a darker and, with the same noise, noisier picture.
+    /// Light that reaches the sensors. Less light gives a darker and, with the same noise, noisier image.
     #[param(default = 1.0, range = 0.01..=4.0, step = 0.01, unit = "ratio", reopen)]
     pub light: f32,
-    /// Sensor noise; 1 is a good small sensor.
+    /// Strength of sensor noise; 1 is a good small sensor.
     #[param(default = 1.0, range = 0.0..=8.0, step = 0.1, unit = "ratio", reopen)]
     pub noise: f32,
     /// Density of smoke.
@@ -184,44 +183,44 @@ pub struct PhantomParams {
     /// Number of blood drops on each lens.
     #[param(default = 0, range = 0..=32, reopen)]
     pub blood_drops: u32,
-    /// Sub-frames of motion blur; 1 is none.
+    /// Number of sub-frames averaged for motion blur; 1 is none.
     #[param(default = 1, range = 1..=16, unit = "frames", reopen)]
     pub motion_blur: u32,
-    /// Share of the frame time that the shutter is open; for `motion_blur` above 1.
+    /// Share of the frame time for which the shutter is open; used if `motion_blur` is above 1.
     #[param(default = 0.5, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
     pub shutter: f64,
     /// Exposure of the right camera relative to the left one.
     #[param(default = 0.93, range = 0.25..=4.0, step = 0.01, unit = "ratio", reopen)]
     pub right_exposure: f32,
-    /// Focal length relative to that of the thesis's scope, which is 750 px at 640 columns. Smaller ones see more: 0.45 with `lens = "equidistant"` is
-    /// a view of 109 degrees across.
+    /// Focal length relative to that of the thesis's scope, which is 750 px at 640 columns. Smaller values widen the view: 0.45 with `lens =
+    /// "equidistant"` is a field of view of 109 degrees.
     #[param(default = 1.0, range = 0.3..=2.0, step = 0.05, unit = "ratio", reopen)]
     pub zoom: f64,
-    /// Lens of every camera. Truth and `calibration` describe the views after rectification to pinholes of the same focal length.
+    /// Lens model of every camera. Ground truth and `calibration` describe the views after rectification to pinholes of the same focal length.
     #[param(default = "pinhole", reopen)]
     pub lens: LensChoice,
-    /// First coefficient k1 of every camera's lens.
+    /// First radial distortion coefficient, k1, of every camera's lens.
     #[param(default = 0.0, range = -0.5..=0.5, step = 0.01, reopen)]
     pub distortion_k1: f64,
-    /// Second coefficient k2 of every camera's lens.
+    /// Second radial distortion coefficient, k2, of every camera's lens.
     #[param(default = 0.0, range = -0.5..=0.5, step = 0.01, reopen)]
     pub distortion_k2: f64,
-    /// Camera that goes black from `black_first` on.
+    /// Camera whose image is black from `black_first` on.
     #[param(default = "none", reopen)]
     pub black_camera: BlackCamera,
-    /// First black picture.
+    /// First black frame.
     #[param(default = 0, range = 0..=1_000_000_000, unit = "frames", reopen)]
     pub black_first: u64,
-    /// Number of black pictures.
+    /// Number of black frames.
     #[param(default = 10, range = 0..=1_000_000_000, unit = "frames", reopen)]
     pub black_count: u64,
     /// Incident that begins at `incident_first`.
     #[param(default = "none", reopen)]
     pub incident: IncidentChoice,
-    /// First picture of the incident.
+    /// First frame of the incident.
     #[param(default = 20, range = 0..=1_000_000_000, unit = "frames", reopen)]
     pub incident_first: u64,
-    /// Number of pictures of the incident.
+    /// Number of frames of the incident.
     #[param(default = 10, range = 1..=1_000_000_000, unit = "frames", reopen)]
     pub incident_count: u64,
     /// Number of instruments in the scene.
@@ -231,7 +230,7 @@ pub struct PhantomParams {
     /// in a seeded order.
     #[param(default = "", reopen)]
     pub tool_kinds: String,
-    /// Movement of the first instrument. All but `sway` start in front of the centre of the picture that both cameras share, at 0.78 of
+    /// Movement of the first instrument. All but `sway` start in front of the centre of the image region that both cameras share, at 0.78 of
     /// `distance_mm`.
     #[param(default = "sway", reopen)]
     pub tool_motion: Motion,
@@ -247,13 +246,13 @@ pub struct PhantomParams {
     /// Delay of late ticks. Their capture time does not change.
     #[param(default = 20.0, range = 0.0..=1000.0, step = 1.0, unit = "ms")]
     pub late_ms: f64,
-    /// Width of the `wide` view relative to one picture.
+    /// Width of the `wide` view relative to one image.
     #[param(default = 2.0, range = 1.0..=4.0, step = 0.1, unit = "ratio", reopen)]
     pub wide_factor: f64,
 }
 
 impl PhantomParams {
-    /// Kinds of the instruments; empty for the seed's own order.
+    /// Kinds of the instruments; empty for the seeded order.
     ///
     /// # Errors
     /// A name that no instrument has.
@@ -264,7 +263,7 @@ impl PhantomParams {
                 ToolKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| {
                     let known: Vec<&str> = ToolKind::ALL.iter().map(|kind| kind.name()).collect();
                     NodeError::new(format!(
-                        "`tool_kinds`: no instrument is called `{name}`; there are {}",
+                        "`tool_kinds`: there is no instrument `{name}`; known instruments: {}",
                         known.join(", ")
                     ))
                 })
@@ -272,7 +271,7 @@ impl PhantomParams {
             .collect()
     }
 
-    /// Size and place of the `wide` picture.
+    /// Size and position of the `wide` image.
     pub fn canvas(&self) -> Canvas {
         let (width, height) = (self.width as f64, self.height as f64);
         let side = |length: f64| ((length * self.wide_factor / 2.0).ceil() * 2.0) as usize;
@@ -286,7 +285,7 @@ impl PhantomParams {
         }
     }
 
-    /// The cameras.
+    /// The cameras and the light.
     pub fn rig(&self) -> Rig {
         let (width, height) = (self.width as usize, self.height as usize);
         let mut rig = match self.layout {
@@ -303,7 +302,7 @@ impl PhantomParams {
         rig
     }
 
-    /// The scene.
+    /// Parameters of the renderer.
     ///
     /// # Errors
     /// As [`Self::tool_kinds`].

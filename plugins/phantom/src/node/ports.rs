@@ -7,7 +7,7 @@ use panoscope_node::{
 /// Inputs of the phantom.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Pose of the left camera in the scene; the scripted motion when unconnected.
+    /// Pose of the left camera in the scene. Unconnected: the scripted motion.
     pub camera_pose: Option<Value<'f, abi::Pose>>,
 }
 
@@ -36,23 +36,23 @@ pub struct Out<'f> {
     pub visible: Slot<'f, Mask>,
     /// True pose of the left camera in the scene.
     pub pose: Slot<'f, abi::Pose>,
-    /// Plane homography that fits the true correspondences best.
+    /// Plane homography that best fits the true correspondences.
     pub homography: Slot<'f, abi::Homography>,
-    /// Picture of one ideal camera with a larger sensor at the left camera's position.
+    /// Image of one ideal camera with a larger sensor at the left camera's position.
     pub wide: Slot<'f, Bgr8>,
-    /// 255 in each pixel of `wide` whose tissue lies inside the picture of at least one camera.
+    /// 255 in each pixel of `wide` whose tissue is inside the image of at least one camera.
     pub footprint: Slot<'f, Mask>,
-    /// True boxes of the instruments seen in the left view.
+    /// True boxes of the instruments visible in the left view.
     pub detections: Slot<'f, LabeledDetections>,
-    /// True boxes and masks of the instruments seen in the left view.
+    /// True boxes and masks of the instruments visible in the left view.
     pub instances: Slot<'f, LabeledInstances>,
-    /// True tip of the largest instrument whose tip is seen; empty when none is.
+    /// True tip of the largest instrument with a visible tip; empty if there is none.
     pub tip: Slot<'f, abi::Tip>,
-    /// True tip of the first instrument, also while it is not seen: score 1 while it is seen, 0 while it is hidden or outside the left view. Empty
-    /// behind the camera and without instruments.
+    /// True tip of the first instrument, whether visible or not. Score 1: visible; 0: hidden or outside the left view. Empty behind the camera and
+    /// without instruments.
     pub lead: Slot<'f, abi::Tip>,
     /// True tip of the second instrument, as `lead`.
     pub second: Slot<'f, abi::Tip>,
-    /// One row per instrument: position of its tip (mm), whether it is seen, and its distances to the tissue and to the nearest other tip (mm).
+    /// One row per instrument: position of its tip (mm), whether it is visible, and its distances to the tissue and to the nearest other tip (mm).
     pub clearance: Slot<'f, TableData>,
 }

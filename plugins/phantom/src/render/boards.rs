@@ -1,4 +1,4 @@
-//! Calibration boards printed on a flat card, with exact places in mm, and the poses in which they are shown.
+//! Calibration boards printed on a flat card, with exact positions in mm, and the poses in which they are shown.
 
 use super::kinds::BoardPrint;
 use super::marks::{BOARD_CENTRE_MM, SQUARE_MM, board_ink, edge};
@@ -11,12 +11,12 @@ const CIRCLES: [i32; 2] = [4, 11];
 const CIRCLE_SPACING_MM: f32 = 3.0;
 const CIRCLE_RADIUS_MM: f32 = 1.05;
 const MARKER_MM: f32 = 2.25;
-/// Cells of a marker's side, its black rim of one cell included.
+/// Cells along a marker's side, including its black border of one cell.
 const MARKER_CELLS: i32 = 6;
-/// White card around the print, mm.
+/// White margin of the card around the print, mm.
 const MARGIN_MM: f32 = 2.0;
 
-/// The first markers of OpenCV's dictionary `DICT_4X4_50`: four rows of four bits, the first row highest, 1 is white.
+/// The first markers of OpenCV's dictionary `DICT_4X4_50`: four rows of four bits, the first row in the highest bits; 1 is white.
 const MARKERS: [u16; 35] = [
     0xb532, 0x0f9a, 0x332d, 0x9946, 0x549e, 0x79cd, 0x9e2e, 0xc4f2, 0xfeda, 0xcf56, 0xf991, 0x11a7, 0x0eb7, 0x2a0f,
     0x24b1, 0x263e, 0x4665, 0x6600, 0x6c5e, 0x76af, 0x868b, 0xb02b, 0xccd5, 0xdd82, 0xfe47, 0x9471, 0xace4, 0xa554,
@@ -65,7 +65,7 @@ fn charuco_ink(x: f32, y: f32, texel_mm: f32) -> Option<f32> {
     Some(chess.max(marker))
 }
 
-/// Whether a square is white; the top left one is black.
+/// Whether a square contains a marker (the white ones); the top left square is black.
 fn holds_marker(column: i32, row: i32) -> bool {
     (column + row) & 1 == 1
 }
@@ -94,8 +94,8 @@ fn area_share(number: usize, u: f32, v: f32, texel: f32) -> f32 {
     share / (texel * texel)
 }
 
-/// Pose in which the scripted camera shows the board at a frame. Each frame has another pose, tilted by up to 30 degrees, so that all frames
-/// together can calibrate. From about 85 mm all of the board is in both views.
+/// Pose of the board in frame `frame`. Each frame has another pose, tilted by up to 30 degrees, so that all frames together can calibrate. From about
+/// 85 mm on the complete board is in both views.
 pub fn shown_pose(params: &SceneParams, frame: u64) -> Pose {
     let mut stream = Stream::new(params.seed, 500 + frame as u32);
     let mut range = |low: f32, high: f32| f64::from(stream.range(low, high));
@@ -124,7 +124,7 @@ mod tests {
 
     const TEXEL_MM: f32 = 0.0625;
 
-    /// Whether the card is there with this share of black; places on an edge are rounded.
+    /// Whether the card is there with this share of black; positions on an edge are rounded.
     fn is(found: Option<f32>, share: f32) -> bool {
         found.is_some_and(|found| (found - share).abs() < 1e-3)
     }

@@ -8,7 +8,7 @@ use super::math::Pose;
 use super::params::{CameraModel, PhantomError};
 use super::tools::Tool;
 
-/// One camera with its buffers.
+/// A camera with its lens tables and buffers.
 pub(super) struct CameraBuffers {
     pub(super) model: CameraModel,
     pub(super) lens: Lens,
@@ -25,7 +25,7 @@ impl CameraBuffers {
     }
 }
 
-/// Transforms the instruments into the frame of a camera `offset_mm` beside the first one.
+/// Transforms the instruments into the frame of a camera at `offset_mm` from the first one.
 pub(super) fn equip(
     tools: &[Tool],
     seconds: f64,
@@ -43,7 +43,7 @@ pub(super) fn equip(
     coarse.sort_parts(lens);
 }
 
-/// A camera `offset_mm` beside the first one, in the scene frame wrapped to the first period.
+/// Position of a camera at `offset_mm` from the first one, in the scene frame wrapped to the first period.
 pub(super) fn station_at(pose: &Pose, offset_mm: [f64; 3], light_mm: [f64; 3], period_mm: f64) -> Station {
     let centre = pose.apply(offset_mm);
     let light = pose.apply(light_mm);
@@ -55,7 +55,7 @@ pub(super) fn station_at(pose: &Pose, offset_mm: [f64; 3], light_mm: [f64; 3], p
     }
 }
 
-/// Refuses a picture of another size.
+/// Refuses an image of another size.
 pub(super) fn check_size<T>(
     index: usize,
     view: &ViewMut<T>,

@@ -1,11 +1,11 @@
-//! The wide picture: its size, and its position around the first camera's picture.
+//! The wide image: its size, and its position relative to the first camera's image.
 
 use super::params::PhantomError;
 
-/// Longest side of the wide picture, px.
+/// Maximum side of the wide image, px.
 pub const MAX_WIDE_PX: usize = 8192;
 
-/// Size and place of a wide picture: pixel `(u, v)` of it is pixel `(u - offset_x, v - offset_y)` of the first camera.
+/// Size and position of a wide image: pixel `(u, v)` of it is pixel `(u - offset_x, v - offset_y)` of the first camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Canvas {
     /// Columns, px.

@@ -1,26 +1,26 @@
-//! Where rays meet the height field: a robust march on the corners of 8x8 tiles, Newton steps between.
+//! Intersects rays with the height field: a robust march on the corners of 8x8 tiles, Newton steps between them.
 
 use super::lanes::{LANES, Lanes};
 use super::lens::{Lens, TILE};
 use super::relief::{BLOCKS, NODES};
 use super::solid::{Entry, Part, Solid};
 
-/// Distance along the optical axis given to rays that meet nothing, mm.
+/// Depth along the optical axis assigned to rays that hit nothing, mm.
 pub const FAR_MM: f32 = 2000.0;
 
-/// Shortest step towards a surface not yet reached, mm along the optical axis.
+/// Minimum step towards the surface, mm along the optical axis.
 const MIN_STEP_MM: f32 = 0.04;
 
 /// The height field of one frame.
 #[derive(Clone, Copy)]
 pub struct Field<'a> {
-    /// `z` of the nodes, mm.
+    /// `z` of the nodes, mm, row after row.
     pub z_mm: &'a [f32],
     /// Nodes per mm.
     pub per_mm: f32,
     /// Upper bound of the slope.
     pub max_slope: f32,
-    /// The same around each block of nodes.
+    /// Upper bound of the slope around each block of nodes.
     pub block_slope: &'a [f32],
     /// Lower bound of z, mm.
     pub nearest_mm: f32,
@@ -33,37 +33,36 @@ pub struct Station {
     pub centre: [f32; 3],
     /// Rows of `scene_from_camera`'s rotation.
     pub rotation: [[f32; 3]; 3],
-    /// The light, mm.
+    /// Position of the light, mm.
     pub light: [f32; 3],
 }
 
-/// How the rays of an 8x8 tile are led to the surface.
+/// How the rays of an 8x8 tile are intersected.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tile {
-    /// A depth before the first hit of any ray, mm; 0 where the corners may be interpolated instead because
-    /// no silhouette passes between them.
+    /// A depth in front of the first hit of any ray, mm; 0 where the corners may be interpolated instead, because no silhouette passes between them.
     pub start_mm: f32,
     /// Upper bound of the slope from there on.
     pub slope: f32,
 }
 
-/// What the coarse pass knows about a view.
+/// Result of the coarse pass for a view.
 #[derive(Clone, Debug, Default)]
 pub struct Coarse {
     /// Depth along the axis at each corner, mm; rows of `grid_padded`.
     pub depth_mm: Vec<f32>,
-    /// What to do with the rays of each tile.
+    /// How to intersect the rays of each tile.
     pub tiles: Vec<Tile>,
     /// Instruments in the camera's frame.
     pub parts: Vec<Solid>,
     /// For each tile, bit `i` set where a ray may meet `parts[i]`; empty without instruments.
     pub part_masks: Vec<u64>,
-    /// The light in the camera's frame, mm.
+    /// Position of the light in the camera's frame, mm.
     pub light: [f64; 3],
 }
 
 impl Coarse {
-    /// Memory for a lens.
+    /// Allocates the buffers for a lens.
     pub fn new(lens: &Lens) -> Self {
         Self {
             depth_mm: vec![0.0; lens.grid_padded * lens.grid_height],
@@ -72,7 +71,7 @@ impl Coarse {
         }
     }
 
-    /// Finds the tiles that each part may touch: squares of 8x8 tiles first, then the tiles inside.
+    /// Finds the parts that each tile may contain: first for squares of 8x8 tiles, then for the tiles inside.
     pub fn sort_parts(&mut self, lens: &Lens) {
         if self.parts.is_empty() {
             self.part_masks.clear();
@@ -115,7 +114,7 @@ impl Coarse {
         }
     }
 
-    /// The part that the ray `(x, y, 1)` of a tile enters first.
+    /// The first part that the ray `(x, y, 1)` of a tile enters.
     pub fn first_part(&self, tile: usize, x: f32, y: f32) -> Option<(Entry, &Part)> {
         let mut mask = self.part_masks.get(tile).copied().unwrap_or(0);
         let mut best: Option<(Entry, &Part)> = None;
@@ -139,8 +138,7 @@ pub struct Rays<L> {
     pub d: [L; 3],
 }
 
-/// One row of a rotation times `(x, y, 1)`. (Closures are kept out of kernels: they would be compiled apart,
-/// without the AVX2 feature.)
+/// One row of a rotation times `(x, y, 1)`. Kernels use no closures: those would be compiled separately, without the AVX2 feature.
 #[inline(always)]
 fn along<L: Lanes>(row: &[f32; 3], x: L, y: L) -> L {
     L::splat(row[0]) * x + L::splat(row[1]) * y + L::splat(row[2])
@@ -191,7 +189,7 @@ impl Field<'_> {
         (a + (b - a) * uy, (dx0 + (dx1 - dx0) * uy) * scale, (b - a) * scale)
     }
 
-    /// How far the surface lies behind the ray's point at `t` along z, and how fast that shrinks with `t`.
+    /// Distance of the surface behind the ray's point at `t` along z, and how fast it decreases with `t`.
     #[inline(always)]
     fn gap<L: Lanes>(&self, station: &Station, rays: &Rays<L>, t: L) -> (L, L) {
         let [x, y, z] = rays.at(station, t);
@@ -199,8 +197,7 @@ impl Field<'_> {
         (height - z, rays.d[2] - sx * rays.d[0] - sy * rays.d[1])
     }
 
-    /// First hit at or after depth `start`: steps that cannot pass the surface, because it is nowhere steeper
-    /// than `slope`, then Newton steps.
+    /// First hit at or after depth `start`: steps that cannot pass the surface, because it is nowhere steeper than `slope`, then Newton steps.
     #[inline(always)]
     pub fn march<L: Lanes>(&self, station: &Station, rays: &Rays<L>, start: L, slope: f32) -> L {
         let lateral = (rays.d[0] * rays.d[0] + rays.d[1] * rays.d[1]).sqrt();
@@ -225,8 +222,8 @@ impl Field<'_> {
         self.polish(station, rays, t, 8, 0.1).0
     }
 
-    /// Newton steps, none longer than `reach_mm`, until the last one was below 0.5 um in all lanes, at most
-    /// `limit`; the second value is true when that was reached.
+    /// Newton steps of at most `reach_mm`, until the last one is below 0.5 um in all lanes, or `limit` steps. The second value is true when they
+    /// converged.
     #[inline(always)]
     fn polish<L: Lanes>(&self, station: &Station, rays: &Rays<L>, start: L, limit: u32, reach_mm: f32) -> (L, bool) {
         let mut t = start;
@@ -272,7 +269,7 @@ impl Field<'_> {
         self.march(station, rays, start, slope)
     }
 
-    /// The tile's start and slope where that start lies above the surface, else the plane before the whole relief.
+    /// The tile's start and slope if that start is above the surface, else the plane in front of the whole relief.
     #[inline(always)]
     pub fn safe_start<L: Lanes>(&self, station: &Station, rays: &Rays<L>, tile: Tile) -> (L, f32) {
         if tile.start_mm > 0.0 {
@@ -295,7 +292,7 @@ impl Field<'_> {
         self.block_slope[(j & (BLOCKS - 1)) * BLOCKS + (i & (BLOCKS - 1))]
     }
 
-    /// Whether `t` is a hit rather than a ray that met nothing.
+    /// Whether `t` is a hit and not a ray that hit nothing.
     #[inline(always)]
     pub fn hit_mask<L: Lanes>(&self, station: &Station, rays: &Rays<L>, t: L) -> u32 {
         let (gap, _) = self.gap(station, rays, t);

@@ -1,14 +1,14 @@
-//! How far the instruments' tips truly are from the tissue.
+//! True distances of the instruments' tips from the tissue.
 
 use panoscope_imaging::Parallel;
 
 use super::phantom::Phantom;
 use super::relief::NODES;
 
-/// Rounds of refinement: each halves the step, which begins with half a node.
+/// Rounds of refinement: each halves the step, which starts at half a node.
 const ROUNDS: usize = 12;
 
-/// A height field that repeats.
+/// A periodic height field.
 struct Heights<'a> {
     z_mm: &'a [f32],
     cell_mm: f64,
@@ -20,7 +20,7 @@ impl Heights<'_> {
         f64::from(self.z_mm[wrap(row) * NODES + wrap(column)])
     }
 
-    /// Bilinear between nodes, as the surface is by definition.
+    /// Height at a position, mm: bilinear between nodes, as the surface is defined.
     fn at(&self, x: f64, y: f64) -> f64 {
         let (gx, gy) = (x / self.cell_mm, y / self.cell_mm);
         let (column, row) = (gx.floor(), gy.floor());

@@ -1,4 +1,4 @@
-//! What comes between tissue and sensor: smoke that drifts, blood that dries on the lens.
+//! Effects between tissue and sensor: drifting smoke, drying blood on the lens.
 
 use panoscope_imaging::{Parallel, SharedMut};
 
@@ -6,7 +6,7 @@ use super::lens::Lens;
 use super::math::{Pose, Stream, smoothstep};
 use super::noise::Layers;
 
-/// Distance of the smoke from the first camera, mm: near enough that it moves against the tissue.
+/// Distance of the smoke from the first camera, mm: near enough to move relative to the tissue.
 const SMOKE_MM: f64 = 25.0;
 /// Drift of the smoke, mm per second along x and y.
 const DRIFT_MM_S: [f64; 2] = [4.0, -6.5];
@@ -19,12 +19,12 @@ pub struct Smoke {
 }
 
 impl Smoke {
-    /// A cloud of a mean density of 0 (none) to 1 (hardly anything is seen).
+    /// Smoke of a mean density from 0 (none) to 1 (nearly opaque).
     pub fn new(seed: u64, density: f32) -> Self {
         Self { cloud: Layers::new(seed, 30, &[(4, 0.7), (8, 0.4), (16, 0.25)]), density }
     }
 
-    /// Density at the corners of a lens's coarse grid, for a camera `offset_mm` beside the first.
+    /// Density at the corners of a lens's coarse grid, for a camera at `offset_mm` from the first one.
     pub fn fill(
         &self,
         lens: &Lens,
@@ -52,7 +52,7 @@ impl Smoke {
     }
 }
 
-/// Clear share of every pixel (rows of `lens.padded`), 255 = clean, with `count` drops on the lens of a camera.
+/// Transparency of every pixel (rows of `lens.padded`), 255 = clean, with `count` drops on the lens of a camera.
 pub fn drops(lens: &Lens, seed: u64, camera: usize, count: u32) -> Vec<u8> {
     if count == 0 {
         return Vec::new();

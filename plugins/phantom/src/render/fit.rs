@@ -1,6 +1,6 @@
 //! Least-squares homography of exact correspondences.
 
-/// The plane homography that fits the true correspondences of the shared field best.
+/// The plane homography that best fits the true correspondences of the shared field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneFit {
     /// `left_from_right`, row by row; the last number is 1.

@@ -1,4 +1,4 @@
-//! What all cameras together see, as the first one would with a larger sensor.
+//! The area that all cameras together see, in the image plane of the first one with a larger sensor.
 
 use panoscope_imaging::{Parallel, ViewMut};
 
@@ -9,11 +9,11 @@ use super::params::PhantomError;
 use super::phantom::Phantom;
 
 impl Phantom {
-    /// Marks with 255 each pixel of the wide view whose tissue lies inside the picture of at least one camera; others are 0.
+    /// Marks with 255 each pixel of the wide view whose tissue is inside the image of at least one camera; others are 0.
     ///
-    /// The area of the mark over that of one view is the field of view that a panorama of all cameras can have, in pixels of the
-    /// first camera. Tissue that another fold hides from a camera counts as inside its picture: what is measured is how far
-    /// the pictures reach, not their holes. Cameras count without distortion. Allocates only when the canvas changes.
+    /// The marked area divided by that of one view is the field of view that a panorama of all cameras can have, in pixels of the first camera.
+    /// Tissue that another fold hides from a camera counts as inside its image: the measure is the extent of the images, not their holes. Distortion
+    /// is ignored. Allocates only when the canvas changes.
     ///
     /// # Errors
     /// A canvas of more than 8192 px a side, a plane of another size, a pose that is not finite.
@@ -43,7 +43,7 @@ impl Phantom {
     }
 }
 
-/// Whether a point of the first camera's frame lies inside the picture of `camera`; `false` for NaN.
+/// Whether a point of the first camera's frame is inside the image of `camera`; `false` for NaN.
 fn is_inside(camera: &CameraBuffers, point_mm: [f64; 3]) -> bool {
     let model = &camera.model;
     let [x, y, z]: [f64; 3] = std::array::from_fn(|i| point_mm[i] - model.offset_mm[i]);

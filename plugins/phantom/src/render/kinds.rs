@@ -1,6 +1,6 @@
 //! The kinds of scenes, boards and instruments, by their names.
 
-/// The scenes.
+/// Kind of scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SceneKind {
     /// Smooth lobes, thin surface vessels, some fat, a membrane.
@@ -11,12 +11,12 @@ pub enum SceneKind {
     Cavity,
     /// A phantom box: printed rulers, crosses of known spacing, blocks of known height.
     Box,
-    /// A flat calibration board; a moving camera shows it in another pose each frame.
+    /// A flat calibration board; a moving camera sees it in another pose in each frame.
     Board,
 }
 
 impl SceneKind {
-    /// All scenes.
+    /// All scenes, in the order of their declaration.
     pub const ALL: [Self; 5] = [Self::Liver, Self::Bowel, Self::Cavity, Self::Box, Self::Board];
 
     /// Name in a graph file.
@@ -31,7 +31,7 @@ impl SceneKind {
     }
 }
 
-/// What is printed on the board.
+/// Pattern printed on the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoardPrint {
     /// 10 x 7 squares of 3 mm: `chessboard:9x6:3mm`.
@@ -43,7 +43,7 @@ pub enum BoardPrint {
 }
 
 impl BoardPrint {
-    /// The board as `calibrate_stereo` names it.
+    /// Name of the board for `calibrate_stereo`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Chessboard => "chessboard:9x6:3mm",
@@ -60,7 +60,7 @@ pub enum ToolKind {
     Grasper,
     /// Two slim jaws on a blue joint.
     Bipolar,
-    /// A thin wire bent to an L.
+    /// A thin wire bent to an L shape.
     Hook,
     /// Two flat blades.
     Scissors,
@@ -73,7 +73,7 @@ pub enum ToolKind {
 }
 
 impl ToolKind {
-    /// All kinds.
+    /// All kinds, in the order of their declaration.
     pub const ALL: [Self; 7] =
         [Self::Grasper, Self::Bipolar, Self::Hook, Self::Scissors, Self::Clipper, Self::Irrigator, Self::SpecimenBag];
 

@@ -1,12 +1,11 @@
-//! Eight-lane arithmetic with one meaning on every machine.
+//! Eight-lane arithmetic with identical results on every machine.
 //!
-//! [`Lanes`] is written twice: [`Portable`] on arrays and, on x86-64, `Avx2` on vector registers. Both
-//! round every operation by IEEE 754 in the same order (no fused multiply-add, no reciprocal
-//! estimates), so a kernel generic over `Lanes` gives the same bits whichever is chosen.
+//! [`Lanes`] has two implementations: [`Portable`] on arrays and, on x86-64, `Avx2` on vector registers. Both round every operation by IEEE 754 in
+//! the same order (no fused multiply-add, no reciprocal estimates), so a kernel generic over `Lanes` gives the same bits with either.
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Lanes of a packet.
+/// Number of lanes in a packet.
 pub const LANES: usize = 8;
 
 /// Eight `f32`, with eight `u32` as [`Lanes::U`].
@@ -32,15 +31,15 @@ pub trait Lanes: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = S
     fn select_lt(a: Self, b: Self, yes: Self, no: Self) -> Self;
     /// Bit `i` is set where lane `i` of `self` is less than `other`'s.
     fn less_mask(self, other: Self) -> u32;
-    /// Truncates to whole numbers (as two's complement); inputs stay below 2^31 in size.
+    /// Truncates to integers (as two's complement); the magnitude of inputs must be below 2^31.
     fn to_u32(self) -> Self::U;
-    /// Reads the lanes as signed whole numbers.
+    /// Reads the lanes as signed integers.
     fn from_i32(values: Self::U) -> Self;
     /// `table[index & (len - 1)]` lane by lane; `table.len()` is a power of two.
     fn gather(table: &[f32], index: Self::U) -> Self;
     /// Eight bytes, lowest first, as eight lanes.
     fn from_bytes(bytes: u64) -> Self;
-    /// Rows become columns.
+    /// Transposes an 8x8 matrix.
     fn transpose(rows: [Self; LANES]) -> [Self; LANES];
 
     /// The same integer in each lane.
@@ -76,7 +75,7 @@ pub trait Lanes: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = S
     }
 }
 
-/// Plain arrays: the path of every machine without AVX2, and the yardstick of the other one.
+/// Implementation on arrays: for machines without AVX2, and the reference for the other one.
 #[derive(Clone, Copy, Debug)]
 pub struct Portable([f32; LANES]);
 

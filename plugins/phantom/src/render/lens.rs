@@ -3,7 +3,7 @@
 use super::lanes::LANES;
 use super::params::{CameraModel, PhantomError};
 
-/// Columns (and rows) between two corners of the coarse grid, px; one packet of lanes.
+/// Columns (and rows) between two corners of the coarse grid, px; equal to one packet of lanes.
 pub const TILE: usize = LANES;
 
 /// Rays `(x, y, 1)` of every pixel, and of the corners of 8x8 tiles.
@@ -15,9 +15,9 @@ pub struct Lens {
     pub height: usize,
     /// Columns rounded up to whole packets.
     pub padded: usize,
-    /// Corners across, at columns 0, 8, 16.. up to at least `padded`.
+    /// Number of corner columns, at 0, 8, 16.. up to at least `padded`.
     pub grid_width: usize,
-    /// Corners down.
+    /// Number of corner rows.
     pub grid_height: usize,
     /// Corners across, rounded up to whole packets.
     pub grid_padded: usize,
@@ -29,7 +29,7 @@ pub struct Lens {
     pub distorted: bool,
     /// x and y of the corners, rows of `grid_padded`.
     pub corner_x: Vec<f32>,
-    /// See `corner_x`.
+    /// See [`Self::corner_x`].
     pub corner_y: Vec<f32>,
 }
 
@@ -87,7 +87,7 @@ impl Lens {
         Ok(lens)
     }
 
-    /// Whether rays lead to the picture's corners, where a lens folds first; much quicker than [`Lens::new`].
+    /// Whether a ray leads to each corner of the image, where a lens folds first; much faster than [`Lens::new`].
     ///
     /// # Errors
     /// As [`Lens::new`].
@@ -103,13 +103,13 @@ impl Lens {
         if self.distorted { [self.x[v * self.padded + u], self.y[v * self.padded + u]] } else { [self.x[u], self.y[v]] }
     }
 
-    /// The tile around a pixel.
+    /// Index of the tile that contains a pixel.
     pub fn tile(&self, u: usize, v: usize) -> usize {
         (v / TILE).min(self.grid_height - 2) * (self.grid_width - 1) + (u / TILE).min(self.grid_width - 2)
     }
 }
 
-/// OpenCV's lens model: where the ray `(x, y, 1)` appears, and the Jacobian of that.
+/// OpenCV's lens model: image position of the ray `(x, y, 1)`, and its Jacobian.
 pub fn distort(k: &[f64; 5], [x, y]: [f64; 2]) -> ([f64; 2], [[f64; 2]; 2]) {
     let [k1, k2, p1, p2, k3] = *k;
     let r2 = x * x + y * y;
@@ -127,7 +127,7 @@ pub fn distort(k: &[f64; 5], [x, y]: [f64; 2]) -> ([f64; 2], [[f64; 2]; 2]) {
     (place, jacobian)
 }
 
-/// The ray that appears at `place`; `None` beyond the model's fold.
+/// The ray that appears at `place`; `None` beyond the fold of the model.
 pub fn undistort(k: &[f64; 5], place: [f64; 2]) -> Option<[f64; 2]> {
     let mut ray = place;
     for _ in 0..60 {

@@ -1,11 +1,11 @@
-//! What is printed on the phantom box and the calibration board, with its exact places in mm.
+//! The print on the phantom box and the calibration board, with exact positions in mm.
 //!
 //! Printed coordinates are the scene's x and y, mm, with the origin on the resting left camera's axis.
 
 /// Heights of the raised blocks of the box: centre x, y, half size, height, mm.
 pub const BLOCKS_MM: [[f32; 4]; 3] = [[-14.0, 3.0, 4.0, 5.0], [12.0, 3.0, 4.0, 10.0], [34.0, 3.0, 4.0, 15.0]];
 
-/// Printed lengths: start x, start y, end x, end y, mm; small crosses mark both ends. All lie on the floor.
+/// Printed lengths: start x, start y, end x, end y, mm; small crosses mark both ends. All are on the floor.
 pub const LENGTHS_MM: [[f32; 4]; 5] = [
     [-6.0, 0.0, 4.0, 0.0],
     [-10.0, 12.0, 10.0, 12.0],
@@ -22,7 +22,7 @@ pub const SQUARE_MM: f32 = 3.0;
 /// Centre of the board, mm.
 pub const BOARD_CENTRE_MM: [f32; 2] = [7.5, 0.0];
 
-/// A place in periods as mm around 0.
+/// Converts a position in periods to mm around 0.
 pub fn centred(periods: f32, period_mm: f32) -> f32 {
     (periods - (periods + 0.5).floor()) * period_mm
 }

@@ -1,4 +1,4 @@
-//! The tissue's skin: colour, gloss and fine relief, baked once into a periodic map of texels.
+//! The tissue's surface: colour, gloss and fine relief, baked once into a periodic map of texels.
 
 use panoscope_imaging::{Parallel, SharedMut, Simd};
 
@@ -17,9 +17,8 @@ pub const TEXELS: usize = 2048;
 /// Slopes are stored in 16 bits: `(slope + SLOPE_LIMIT) / (2 * SLOPE_LIMIT) * 65535`.
 pub const SLOPE_LIMIT: f32 = 6.0;
 
-/// Eight bytes a texel, lowest first: blue, green, red (square roots of the albedo), gloss, slope along
-/// x (high byte, low byte), slope along y (high, low). Bytes are interpolated linearly; a sum of two
-/// linear functions is linear, so that high and low bytes may be put together after interpolation.
+/// Bakes eight bytes per texel, lowest first: blue, green, red (square roots of the albedo), gloss, slope along x (high byte, low byte), slope along
+/// y (high, low). Bytes are interpolated linearly; a sum of linear functions is linear, so high and low bytes may be combined after interpolation.
 pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Table<u64> {
     bake_with(params, relief, pool, Simd::detect().avx2())
 }
@@ -55,7 +54,7 @@ fn bake_with(params: &SceneParams, relief: &Relief, pool: &dyn Parallel, avx2: b
     texels
 }
 
-/// All families of vessels in one map of a byte per texel. Each family is drawn on its own, and the stronger one shows.
+/// All families of vessels in one map of a byte per texel. Each family is drawn separately; the stronger one shows.
 fn vessels(seed: u64, families: &[Growth], period_mm: f32, pool: &dyn Parallel) -> Table<u8> {
     let area = period_mm * period_mm / (128.0 * 128.0);
     let mut planes = vec![Table::from(vec![0u8; TEXELS * TEXELS]); families.len().max(1)];
@@ -179,7 +178,7 @@ impl Palette {
 }
 
 impl Palette {
-    /// The same with all that is drawn on the tissue made weaker by a share of 0 to 1.
+    /// The same with the drawing on the tissue weakened by a factor of 0 to 1.
     fn drawn(self, share: f32) -> Self {
         let tissue = |tissue: Tissue| Tissue {
             grain_mm: tissue.grain_mm * share,
@@ -205,7 +204,7 @@ struct RowWork {
     rows: [Vec<f32>; 9],
 }
 
-/// Rows of noise that colours come from.
+/// Rows of noise from which colours are computed.
 struct Noise<'a> {
     hue: &'a [f32],
     mottle: &'a [f32],
@@ -358,7 +357,7 @@ impl<'a> Skin<'a> {
         }
     }
 
-    /// Colours of a row, packed. `PRINTED` scenes have marks at places; without them the loop has no branches.
+    /// Packed colours of a row. Only `PRINTED` scenes have marks; without them the loop has no branches.
     #[inline(always)]
     fn colour_row<const PRINTED: bool>(
         &self,
@@ -450,8 +449,8 @@ impl<'a> Skin<'a> {
     }
 }
 
-/// How open the surface lies at each node: 1 on ridges and planes, less in hollows, from the depth below the mean
-/// of a square of `2 * radius + 1` nodes, taken twice.
+/// Openness of the surface at each node: 1 on ridges and planes, less in hollows. Computed from the depth below the mean of a square of `2 * radius +
+/// 1` nodes, applied twice.
 fn openness(z_mm: &[f32], radius: usize) -> Table<f32> {
     let mean_along = |plane: &[f32], step: usize, across: usize| {
         let mut out = Table::from(vec![0.0; NODES * NODES]);
@@ -470,7 +469,7 @@ fn openness(z_mm: &[f32], radius: usize) -> Table<f32> {
     z_mm.iter().zip(mean.iter()).map(|(z, mean)| 1.0 - 0.45 * smoothstep(0.0, 2.2, z - mean)).collect()
 }
 
-/// Round lobes between the lines where the noise is zero, 0..1.
+/// Round lobes between the zero lines of the noise, 0..1.
 #[inline(always)]
 fn lobule(net: f32) -> f32 {
     let v = 1.0 - (net.abs() * 1.5).min(1.0);

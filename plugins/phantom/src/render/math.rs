@@ -16,23 +16,23 @@ pub fn hash(words: &[u32]) -> u32 {
     words.iter().fold(0x9e37_79b9, |state, &word| mix32(state.rotate_left(5) ^ word).wrapping_add(0x85eb_ca6b))
 }
 
-/// A number in `0..1` from a hash.
+/// Converts a hash to a number in `0..1`.
 #[inline(always)]
 pub fn unit(hash: u32) -> f32 {
     (hash >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// A number in `0..1` for a frame: the same for the same seed, purpose and frame.
+/// Random number in `0..1` for a frame; depends only on seed, purpose and frame.
 pub fn chance(seed: u64, purpose: u32, frame: u64) -> f32 {
     unit(hash(&[seed as u32, (seed >> 32) as u32, 600 + purpose, frame as u32, (frame >> 32) as u32]))
 }
 
-/// A seeded stream of numbers for building scenes.
+/// A seeded stream of random numbers for building scenes.
 #[derive(Clone, Debug)]
 pub struct Stream(u32, u32);
 
 impl Stream {
-    /// A stream of its own for every `(seed, purpose)`.
+    /// A separate stream for every `(seed, purpose)`.
     pub fn new(seed: u64, purpose: u32) -> Self {
         Self(hash(&[seed as u32, (seed >> 32) as u32, purpose]), 0)
     }
@@ -79,12 +79,12 @@ pub fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
 pub struct Pose {
     /// Rotation as `w, x, y, z`.
     pub quaternion: [f64; 4],
-    /// Position of b's origin in a, in mm.
+    /// Position of the origin of b in a, mm.
     pub translation_mm: [f64; 3],
 }
 
 impl Pose {
-    /// No rotation, no translation.
+    /// No rotation and no translation.
     pub const IDENTITY: Self = Self { quaternion: [1.0, 0.0, 0.0, 0.0], translation_mm: [0.0; 3] };
 
     /// Rotation matrix, row by row; the quaternion is normalised first (a zero one counts as identity).
@@ -99,7 +99,7 @@ impl Pose {
         ]
     }
 
-    /// The point `p` of b, seen from a.
+    /// Transforms the point `p` from b to a.
     pub fn apply(&self, p: [f64; 3]) -> [f64; 3] {
         let r = self.rotation();
         std::array::from_fn(|i| r[i][0] * p[0] + r[i][1] * p[1] + r[i][2] * p[2] + self.translation_mm[i])

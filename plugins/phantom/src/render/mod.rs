@@ -1,8 +1,8 @@
 //! The renderer: a height field of tissue, exact rays, a light at the scope's tip, a sensor.
 //!
-//! [`Phantom`] is built once (shape and skin are baked into maps) and then draws any frame in any order.
-//! Only `+ - * /`, square roots and integer hashes are used, in one order: the same parameters and frame
-//! number give the same bytes with AVX2 or without, on any number of threads and on any machine.
+//! [`Phantom`] is built once (shape and surface are baked into maps) and then draws frames in any order. It uses only `+ - * /`, square roots and
+//! integer hashes, in a fixed order: the same parameters and frame number give the same bytes with AVX2 or without, on any number of threads and on
+//! any machine.
 
 mod boards;
 mod camera_buffers;

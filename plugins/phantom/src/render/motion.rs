@@ -1,21 +1,21 @@
-//! The scripted camera and the patient's breath.
+//! The scripted camera, and breathing.
 
 use super::boards;
 use super::kinds::SceneKind;
 use super::math::{Pose, Stream, cos_turns, sin_turns};
 use super::params::{CameraPath, IncidentKind, SceneParams};
 
-/// How far a jump goes: aside by a third of what a camera sees, and nearer.
+/// Offset of a jump, mm: sideways by a third of the field of view, and nearer.
 const JUMP_MM: [f64; 3] = [12.0, -7.0, 8.0];
 
-/// Height of a ring's two rises, for tissue 50 mm away or more.
+/// Height of the two rises of a ring path, mm, for tissue 50 mm away or more.
 const RING_RISE_MM: f64 = 1.5;
-/// Turns along a ring about x, y and z: degrees, and times per lap.
+/// Rotation along a ring path about x, y and z: amplitude in degrees, and periods per lap.
 const RING_TURN: [(f64, f64); 3] = [(2.0, 1.0), (2.0, 2.0), (8.0, 1.0)];
 
-/// Direction of a glide along the tissue, and how much of its speed leads nearer or away; the squares add up to 1.
+/// Direction of a glide: along the tissue (x, y), and the share of its speed along z; the squares add up to 1.
 const GLIDE: [f64; 3] = [0.8, 0.48, 0.36];
-/// Way of a glide to either side of the first distance, mm at 50 mm.
+/// Distance that a glide moves to either side of the first distance, mm at 50 mm.
 const GLIDE_DEPTH_MM: f64 = 4.0;
 
 /// Sines of one axis: amplitude, frequency in Hz, phase in turns.
@@ -23,7 +23,7 @@ const GLIDE_DEPTH_MM: f64 = 4.0;
 struct Sway([[f64; 3]; 2]);
 
 impl Sway {
-    /// Two sines whose speeds add up to `speed`, neither larger than `limit`.
+    /// Two sines whose maximum speeds add up to `speed`, neither amplitude above `limit`.
     fn new(stream: &mut Stream, speed: f64, limit: f64, slow_hz: f32, fast_hz: f32) -> Self {
         let mut wave = |share: f64, low: f32, high: f32, limit: f64| {
             let wanted = f64::from(stream.range(low, high));
@@ -36,7 +36,7 @@ impl Sway {
         Self([wave(0.65, slow_hz, mean, limit * 0.7), wave(0.35, mean, fast_hz, limit * 0.3)])
     }
 
-    /// Offset from the place at time 0.
+    /// Offset from the position at time 0.
     fn at(&self, seconds: f64) -> f64 {
         let wave = |[amplitude, frequency, phase]: [f64; 3]| {
             amplitude * (sin_turns(frequency * seconds + phase) - sin_turns(phase))
@@ -45,17 +45,17 @@ impl Sway {
     }
 }
 
-/// Movement at a constant speed. The scene repeats itself, so it never ends.
+/// Movement at a constant speed. The scene is periodic, so the movement never ends.
 #[derive(Clone, Copy, Debug)]
 struct Glide {
-    /// mm/s.
+    /// Speed, mm/s.
     speed: f64,
-    /// To either side.
+    /// Maximum change of distance to either side, mm.
     depth_mm: f64,
 }
 
 impl Glide {
-    /// Offset from the place at time 0.
+    /// Offset from the position at time 0.
     fn at(&self, seconds: f64) -> [f64; 3] {
         let distance_mm = self.speed * seconds;
         // A triangle wave: nearer and away at one speed.
@@ -77,14 +77,14 @@ pub struct Script {
     fps: f64,
     /// Frame of the jump.
     jump: Option<u64>,
-    /// Radius and rise in mm and laps per second, of a camera on a ring.
+    /// Radius (mm), rise (mm) and laps per second of a camera on a ring.
     ring: Option<[f64; 3]>,
-    /// Of a scene with a board in ever new poses.
+    /// Parameters of a scene with a board, which is shown in a new pose in each frame.
     board: Option<SceneParams>,
 }
 
 impl Script {
-    /// The script of a scene; its speed never passes `camera_speed_mm_s`.
+    /// The script of a scene; its speed never exceeds `camera_speed_mm_s`.
     pub fn new(params: &SceneParams) -> Self {
         let mut stream = Stream::new(params.seed, 100);
         let speed = params.camera_speed_mm_s;
@@ -113,7 +113,7 @@ impl Script {
         }
     }
 
-    /// `scene_from_camera` of the first camera `frames` frames (and parts of one) after the start.
+    /// `scene_from_camera` of the first camera at frame time `frames` (fractions allowed).
     pub fn pose(&self, frames: f64) -> Pose {
         if let Some(params) = &self.board {
             // Within a frame the board stands still.
@@ -144,7 +144,7 @@ impl Script {
         Pose { quaternion, translation_mm }
     }
 
-    /// How far the tissue has moved, mm.
+    /// Displacement of the tissue by breathing, mm.
     pub fn breath_mm(&self, frames: f64) -> f64 {
         let turns = frames / self.fps * self.breath_hz;
         // Breathing out takes longer than in: the second harmonic leans the wave.

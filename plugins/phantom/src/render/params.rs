@@ -6,64 +6,39 @@ use thiserror::Error;
 use super::kinds::{BoardPrint, SceneKind, ToolKind};
 use super::scenario::ToolMotion;
 
-/// Why a phantom cannot be built, or a picture cannot be drawn.
+/// Why a phantom cannot be built, or an image cannot be drawn.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum PhantomError {
-    /// No scene of that name.
-    #[error("no scene is called {name:?}; there are liver, bowel, cavity, box and board")]
-    UnknownScene {
-        /// The name asked for.
-        name: String,
-    },
-    /// A parameter outside its range.
-    #[error("{name} is {value}, expected {low} to {high}")]
-    OutOfRange {
-        /// Parameter.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// Smallest value allowed.
-        low: f64,
-        /// Largest value allowed.
-        high: f64,
-    },
-    /// A picture of the wrong size.
+    /// No scene has this name.
+    #[error("there is no scene {name:?}; known scenes: liver, bowel, cavity, box and board")]
+    UnknownScene { name: String },
+    /// A parameter is outside its range.
+    #[error("{name} is {value}; expected {low} to {high}")]
+    OutOfRange { name: &'static str, value: f64, low: f64, high: f64 },
+    /// An image has the wrong size.
     #[error("view {view} is {width}x{height}x{channels}, expected {want_width}x{want_height}x{want_channels}")]
     WrongSize {
-        /// Index of the picture.
         view: usize,
-        /// Its columns.
         width: usize,
-        /// Its rows.
         height: usize,
-        /// Its channels.
         channels: usize,
-        /// Columns expected.
         want_width: usize,
-        /// Rows expected.
         want_height: usize,
-        /// Channels expected.
         want_channels: usize,
     },
-    /// A number of pictures that is not the number of cameras.
-    #[error("{got} views given, the rig has {want} cameras")]
-    WrongViewCount {
-        /// Pictures given.
-        got: usize,
-        /// Cameras of the rig.
-        want: usize,
-    },
+    /// The number of images differs from the number of cameras.
+    #[error("{got} views were given, but the rig has {want} cameras")]
+    WrongViewCount { got: usize, want: usize },
     /// A pose with a NaN or an infinity.
     #[error("the camera pose holds a number that is not finite")]
     BadPose,
-    /// A distortion whose inverse does not exist inside the picture.
-    #[error("the lens distortion of camera {camera} folds the picture over itself at pixel ({u}, {v})")]
+    /// The distortion is not invertible inside the image.
+    #[error("the lens distortion of camera {camera} folds the image over itself at pixel ({u}, {v}); reduce it")]
     BadDistortion {
-        /// Camera of the rig.
+        /// Index of the camera in the rig.
         camera: usize,
-        /// Column, px.
         u: usize,
-        /// Row, px.
         v: usize,
     },
 }
@@ -79,7 +54,7 @@ impl std::str::FromStr for SceneKind {
     }
 }
 
-/// The scene, its motion, the light and the faults of the sensor.
+/// Parameters of the scene, its motion, the light and the sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneParams {
     /// Which scene.
@@ -90,7 +65,7 @@ pub struct SceneParams {
     pub distance_mm: f64,
     /// Frames per second of the motion script, 1 to 1000.
     pub fps: f64,
-    /// Height of the tissue's relief, 0 (a plane) to 1; scenes `box` and `board` have none to change.
+    /// Height of the tissue's relief, 0 (a plane) to 1; ignored by the scenes `box` and `board`.
     pub relief: f64,
     /// How the scripted camera moves.
     pub camera_path: CameraPath,
@@ -102,11 +77,11 @@ pub struct SceneParams {
     pub breathing_mm: f64,
     /// Length of a breath, 0.5 to 20 s.
     pub breathing_period_s: f64,
-    /// Strength of the highlights; 0 leaves a surface whose colour does not depend on the view.
+    /// Strength of specular highlights; with 0 the surface's colour does not depend on the view.
     pub specular: f32,
-    /// Strength of the tissue's drawing: vessels, mottling, flecks and grain; 1 as it is, 0 a smooth surface of one colour per tissue.
+    /// Strength of vessels, mottling, flecks and grain; 1 is normal, 0 a smooth surface of one colour per tissue.
     pub texture: f32,
-    /// Light that reaches the sensors; 1 is a well-lit scene. Noise stays what it is, so a darker picture is a noisier one.
+    /// Light that reaches the sensors; 1 is a well-lit scene. The noise does not change, so a darker image is noisier.
     pub light: f32,
     /// Strength of shot and read noise; 1 is a good small sensor, 0 none.
     pub noise: f32,
@@ -114,21 +89,21 @@ pub struct SceneParams {
     pub smoke: f32,
     /// Number of blood drops on each lens, 0 to 32.
     pub blood_drops: u32,
-    /// What the board of [`SceneKind::Board`] shows.
+    /// Pattern of the board in [`SceneKind::Board`].
     pub board: BoardPrint,
-    /// Instruments in the scene, 0 to 7.
+    /// Number of instruments in the scene, 0 to 7.
     pub tools: u32,
-    /// Their kinds in turn; when empty, all kinds in an order of the seed's own.
+    /// Kinds of the instruments in order; when empty, all kinds in a seeded order.
     pub tool_kinds: Vec<ToolKind>,
-    /// How the first of them moves.
+    /// Movement of the first instrument.
     pub tool_motion: ToolMotion,
-    /// Sub-frames averaged for motion blur, 1 (none) to 16.
+    /// Number of sub-frames averaged for motion blur, 1 (none) to 16.
     pub motion_blur: u32,
-    /// Part of the frame time the shutter is open, 0 to 1; used with `motion_blur`.
+    /// Share of the frame time for which the shutter is open, 0 to 1; used with `motion_blur`.
     pub shutter: f64,
-    /// Camera and frames `first..end` for which that camera's picture is black.
+    /// Camera and frames `first..end` for which that camera's image is black.
     pub black: Option<BlackOut>,
-    /// Something that goes wrong for a while.
+    /// An incident for a range of frames.
     pub incident: Option<Incident>,
 }
 
@@ -137,51 +112,51 @@ pub struct SceneParams {
 pub enum CameraPath {
     /// Seeded swings about its resting position.
     Sway,
-    /// Laps on a circle parallel to the tissue, with turns and changes of height that close with each lap.
+    /// Circles parallel to the tissue, with rotations and changes of height that close with each lap.
     Ring,
     /// Along the tissue, alternately nearer and farther, always at top speed.
     Glide,
 }
 
-/// What can go wrong for a while.
+/// Kind of incident.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IncidentKind {
     /// Dense smoke before both cameras.
     Smoke,
-    /// The scope shakes: each picture is blurred over about 40 px.
+    /// The scope shakes: each image is blurred over about 40 px.
     Blur,
-    /// The scope jumps to another place at the first frame and stays there.
+    /// The scope jumps to another position at the first frame and stays there.
     Jump,
-    /// Tissue lies on the lens of the last camera.
+    /// Tissue covers the lens of the last camera.
     Covered,
 }
 
-/// Something that goes wrong in the frames `first..end`.
+/// An incident in the frames `first..end`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Incident {
-    /// What goes wrong.
+    /// Kind of the incident.
     pub kind: IncidentKind,
-    /// First bad frame.
+    /// First frame of the incident.
     pub first: u64,
-    /// First good frame.
+    /// First frame after the incident.
     pub end: u64,
 }
 
 impl Incident {
-    /// Whether it is under way.
+    /// Whether the incident `kind` is active in frame `frame`.
     pub fn at(&self, kind: IncidentKind, frame: u64) -> bool {
         self.kind == kind && (self.first..self.end).contains(&frame)
     }
 }
 
-/// A camera that goes black for a while.
+/// A camera whose image is black for a range of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlackOut {
     /// Camera of the rig.
     pub camera: usize,
     /// First black frame.
     pub first: u64,
-    /// First frame seen again.
+    /// First frame after the black ones.
     pub end: u64,
 }
 
@@ -217,7 +192,7 @@ impl Default for SceneParams {
 }
 
 impl SceneParams {
-    /// Refuses what lies outside the documented ranges.
+    /// Refuses values outside the documented ranges.
     ///
     /// # Errors
     /// [`PhantomError::OutOfRange`] names the parameter.
@@ -277,7 +252,7 @@ pub struct CameraModel {
 }
 
 impl CameraModel {
-    /// Whether rays go straight through the lens.
+    /// Whether the lens has no distortion.
     pub fn is_pinhole(&self) -> bool {
         self.distortion == [0.0; 5] && self.equidistant.is_none()
     }
@@ -301,10 +276,10 @@ impl CameraModel {
     }
 }
 
-/// The cameras of the scope and its light.
+/// The cameras of the scope, and its light.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rig {
-    /// Cameras; the first is the reference (left, or top left).
+    /// The cameras; the first is the reference (left, or top left).
     pub cameras: Vec<CameraModel>,
     /// Position of the light in the first camera's frame, mm.
     pub light_mm: [f64; 3],
@@ -339,7 +314,7 @@ impl Rig {
         Self { cameras: cameras.collect(), light_mm: [baseline_mm / 2.0, baseline_mm / 2.0, 0.0] }
     }
 
-    /// Refuses sizes, focal lengths and offsets no picture can be drawn with.
+    /// Refuses sizes, focal lengths and offsets with which no image can be drawn.
     ///
     /// # Errors
     /// [`PhantomError::OutOfRange`] names the field.

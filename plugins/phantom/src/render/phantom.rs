@@ -1,4 +1,4 @@
-//! The phantom: its state between frames, and how it draws one.
+//! The phantom: its state between frames, and how it draws a frame.
 
 use panoscope_imaging::{Parallel, SharedMut, ViewMut};
 
@@ -17,15 +17,15 @@ use super::shade::{Picture, Sensor, Skin, rows_of};
 use super::table::Table;
 use super::tools::{self, Tool};
 
-/// Rows drawn by one chunk; a multiple of the tile.
+/// Rows drawn per chunk; a multiple of the tile.
 const CHUNK_ROWS: usize = 16;
-/// Sub-frames of a picture during the incident `blur`.
+/// Number of sub-frames of an image during the incident `blur`.
 const SHAKEN_FRAMES: usize = 12;
-/// Movement of the scope during such a picture, mm along x, y and z.
+/// Movement of the scope during such an image, mm along x, y and z.
 const SHAKEN_MM: [f64; 3] = [2.4, 1.2, 0.0];
-/// Density of the smoke of an incident.
+/// Density of smoke during the incident `smoke`.
 const INCIDENT_SMOKE: f32 = 0.95;
-/// Tissue that lies on a lens, lit from within: B, G, R.
+/// Colour of tissue that covers a lens, lit from within: B, G, R.
 const COVERED: [u8; 3] = [22, 18, 88];
 
 /// A scene and its cameras.
@@ -36,7 +36,7 @@ pub struct Phantom {
     texels: Table<u64>,
     script: Script,
     smoke: Option<Smoke>,
-    /// Sub-frames of a picture while nothing goes wrong.
+    /// Number of sub-frames of an image without an incident.
     subframes: usize,
     pub(super) tools: Vec<Tool>,
     /// Surface of the frame drawn last.
@@ -48,7 +48,7 @@ pub struct Phantom {
 }
 
 impl Phantom {
-    /// Shapes and bakes the scene (about a third of a second of one core) and tabulates the lenses.
+    /// Builds and bakes the scene (about 0.3 s on one core) and tabulates the lenses.
     ///
     /// # Errors
     /// A parameter, camera or distortion that cannot be drawn.
@@ -101,12 +101,12 @@ impl Phantom {
         &self.rig
     }
 
-    /// `scene_from_camera` of the first camera at a frame of the script.
+    /// `scene_from_camera` of the first camera in a frame of the script.
     pub fn pose(&self, frame: u64) -> Pose {
         self.script.pose(frame as f64)
     }
 
-    /// Draws without AVX2 even where it is there; the bytes stay the same.
+    /// Draws without AVX2 even if it is available; the bytes stay the same.
     pub fn force_portable(&mut self, portable: bool) {
         self.portable = portable;
     }
@@ -177,12 +177,12 @@ impl Phantom {
         self.params.incident.is_some_and(|incident| incident.at(kind, frame))
     }
 
-    /// Sub-frames that a frame's pictures are averaged from.
+    /// Number of sub-frames from which a frame's images are averaged.
     fn subframes_at(&self, frame: u64) -> usize {
         if self.suffers(IncidentKind::Blur, frame) { self.subframes.max(SHAKEN_FRAMES) } else { self.subframes }
     }
 
-    /// Puts the cameras of all sub-frames where they stand.
+    /// Computes the camera positions of all sub-frames.
     fn place(&mut self, frame: u64, pose: Option<Pose>) -> Result<(), PhantomError> {
         if pose.is_some_and(|p| !p.is_finite()) {
             return Err(PhantomError::BadPose);
@@ -205,7 +205,7 @@ impl Phantom {
         Ok(())
     }
 
-    /// Moves the surface to where it is at a frame.
+    /// Animates the surface to frame `frame`.
     pub(super) fn breathe(&mut self, frame: u64, pool: &dyn Parallel) {
         let breath = self.script.breath_mm(frame as f64) as f32;
         if breath == self.breath_mm {
@@ -235,7 +235,7 @@ impl Phantom {
         }
     }
 
-    /// Depths of the corners and the kind of each tile.
+    /// Runs the coarse pass: depths of the corners and the kind of each tile.
     pub(super) fn coarse(&self, lens: &Lens, station: &Station, coarse: &mut Coarse, pool: &dyn Parallel) {
         let field = self.field();
         let wide = self.wide_lanes();
@@ -265,7 +265,7 @@ impl Phantom {
         });
     }
 
-    /// Draws a picture whose coarse pass is done.
+    /// Draws an image after its coarse pass.
     pub(super) fn draw(
         &self,
         lens: &Lens,

@@ -12,16 +12,16 @@ use super::noise::Layers;
 use super::params::SceneParams;
 use super::table::Table;
 
-/// Nodes per period in each direction.
+/// Number of nodes per period in each direction.
 pub const NODES: usize = 512;
 
-/// Blocks per period in each direction for which a slope bound is kept.
+/// Number of blocks per period in each direction with their own slope bound.
 pub const BLOCKS: usize = 32;
 
 /// Height and tissue kind of every node.
 #[derive(Clone, Debug)]
 pub struct Relief {
-    /// The field repeats after this many mm in x and y.
+    /// Period of the field in x and y, mm.
     pub period_mm: f32,
     /// `z` of each node at rest, mm, row after row.
     pub z_mm: Table<f32>,
@@ -38,8 +38,8 @@ pub struct Relief {
 }
 
 impl Relief {
-    /// Shapes the scene. The features keep their size in mm whatever the distance; only their height
-    /// shrinks when the camera is nearer than 50 mm, so that it never dips into the tissue.
+    /// Shapes the scene. Features keep their size in mm at any distance; only their height decreases when the camera is nearer than 50 mm, so that it
+    /// never enters the tissue.
     pub fn new(params: &SceneParams, pool: &dyn Parallel) -> Self {
         let distance = params.distance_mm as f32;
         let period_mm = if distance < 32.0 { 64.0 } else { 128.0 };
@@ -109,8 +109,7 @@ impl Relief {
         self.z_range_mm = [range[0] - swell * breathing_mm, range[1] + swell * breathing_mm];
     }
 
-    /// A node plane between nodes, bilinear (for shading and masks):
-    /// row `y` of a map of `out.len()` texels per period.
+    /// Samples a node plane bilinearly between nodes (for shading and masks): row `y` of a map of `out.len()` texels per period.
     #[inline(always)]
     pub fn upsample_row(plane: &[f32], y: usize, out: &mut [f32]) {
         let step = out.len() / NODES;
@@ -127,7 +126,7 @@ impl Relief {
     }
 }
 
-/// The formulas behind the nodes.
+/// The functions that define the surface at the nodes.
 struct Shape {
     kind: SceneKind,
     period_mm: f32,
@@ -171,7 +170,7 @@ impl Shape {
         }
     }
 
-    /// A smooth lobe whose rounded rim hangs over lumpy fat.
+    /// A smooth lobe whose rounded edge hangs over lumpy fat.
     fn liver(&self, x: f32, y: f32) -> (f32, f32) {
         let edge = self.edge.at(x, y) + 0.25;
         let lobe = smoothstep(-0.10, 0.22, edge);

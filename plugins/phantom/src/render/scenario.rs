@@ -1,42 +1,43 @@
-//! Scripted movements of the leading instrument, for judging whatever follows its tip.
+//! Scripted movements of the leading instrument, for evaluating trackers of its tip.
 //!
-//! All start at the tip's home and are known for any time. Only `+ - * /`, square roots and integer hashes, as everywhere here.
+//! All start at the tip's home position and are defined for any time. They use only `+ - * /`, square roots and integer hashes, like the rest of the
+//! renderer.
 
 use super::math::{Stream, cos_turns, sin_turns};
 
 /// Movement of the first instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ToolMotion {
-    /// As all others: slow swings about a home of the seed's choice.
+    /// Like all other instruments: slow swings about a seeded home position.
     #[default]
     Sway,
-    /// Not at all.
+    /// At rest.
     Still,
-    /// Goes 10 mm aside and 6 mm down, and back, as fast as a surgeon does, every 4 s.
+    /// Steps of 12 mm: 10 mm to the side and 6 mm down, and back, at a surgeon's speed, every 4 s.
     Step,
     /// To and fro over 36 mm at a steady 12 mm/s.
     Ramp,
     /// A circle of 12 mm radius in 5 s, with depth.
     Circle,
-    /// Strokes of a surgeon: from point to point of the seed's choice, bell-shaped speeds up to 25 mm/s, rests between.
+    /// Strokes like a surgeon's: from point to point (seeded), with bell-shaped speeds up to 25 mm/s and rests between.
     Strokes,
-    /// Is drawn out of the picture along its shaft, faster than any arm may follow, and comes back slowly, every 12 s.
+    /// Leaves the image along its shaft, faster than any arm may follow, and returns slowly, every 12 s.
     Leave,
-    /// Rests while the second instrument passes before it, to and fro.
+    /// Rests while the second instrument passes in front of it, to and fro.
     Cross,
 }
 
-/// Rest before anything moves, s.
+/// Time before anything moves, s.
 pub const START_S: f64 = 2.0;
-/// Points of a script of strokes; then it begins anew.
+/// Number of points of a script of strokes; the script then repeats.
 const POINTS: usize = 64;
-/// Where strokes lead, to both sides of home, mm.
+/// Maximum offset of strokes from home to either side, mm.
 const REACH_MM: [f32; 3] = [20.0, 13.0, 8.0];
-/// Top speeds of strokes, mm/s.
+/// Range of maximum speeds of strokes, mm/s.
 const STROKE_MM_S: (f32, f32) = (12.0, 25.0);
-/// Fastest that an instrument steps, mm/s.
+/// Maximum speed of steps, mm/s.
 const FAST_MM_S: f64 = 25.0;
-/// How far an instrument is drawn out, mm, and how fast it goes and comes, mm/s.
+/// Distance by which an instrument is retracted, mm, and its speeds out and back, mm/s.
 const LEAVE_MM: f64 = 80.0;
 const LEAVE_MM_S: (f64, f64) = (150.0, 40.0);
 
@@ -46,11 +47,11 @@ struct Stroke {
     from: [f64; 3],
     to: [f64; 3],
     start_s: f64,
-    /// Of the movement.
+    /// Duration of the movement, s.
     length_s: f64,
 }
 
-/// The script of one instrument: offsets from its home.
+/// Script of one instrument: offsets from its home position.
 #[derive(Clone, Debug)]
 pub struct Script {
     motion: ToolMotion,
@@ -58,19 +59,19 @@ pub struct Script {
     period_s: f64,
 }
 
-/// Rises from 0 to 1 with no jerk at its ends; its top speed is 15/8.
+/// Rises from 0 to 1 without jerk at its ends; its maximum speed is 15/8.
 fn bell(t: f64) -> f64 {
     let t = t.clamp(0.0, 1.0);
     t * t * t * (10.0 - t * (15.0 - 6.0 * t))
 }
 
-/// Length of a bell-shaped movement, s.
+/// Duration of a bell-shaped movement, s.
 fn bell_s(way_mm: f64, top_mm_s: f64) -> f64 {
     1.875 * way_mm / top_mm_s
 }
 
 impl Script {
-    /// The script of a seed.
+    /// The script for a movement and a seed.
     pub fn new(motion: ToolMotion, seed: u64) -> Self {
         let mut stream = Stream::new(seed, 420);
         let mut strokes = Vec::new();
@@ -89,12 +90,12 @@ impl Script {
         Self { motion, strokes, period_s: clock.max(1.0) }
     }
 
-    /// Whether the instrument swings as others do.
+    /// Whether the instrument only swings.
     pub fn is_sway(&self) -> bool {
         self.motion == ToolMotion::Sway
     }
 
-    /// Offset of the leading tip from its home, mm; `away` is the direction in which its shaft leaves.
+    /// Offset of the leading tip from its home position, mm; `away` is the direction in which its shaft leaves.
     pub fn at(&self, seconds: f64, away: [f64; 3]) -> [f64; 3] {
         let t = (seconds - START_S).max(0.0);
         match self.motion {
@@ -136,7 +137,7 @@ impl Script {
         }
     }
 
-    /// Where the second instrument's tip stands when it passes before the first, from the first one's home, mm; none if it does not.
+    /// Position of the second instrument's tip relative to the first one's home when it passes in front of it, mm; `None` if it does not.
     pub fn crossing(&self, seconds: f64) -> Option<[f64; 3]> {
         if self.motion != ToolMotion::Cross {
             return None;

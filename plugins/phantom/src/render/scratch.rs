@@ -1,10 +1,10 @@
-//! Buffers of the truth.
+//! Buffers of the ground truth.
 
 use super::camera_buffers::CameraBuffers;
 use super::canvas::Canvas;
 use super::params::{CameraModel, PhantomError};
 
-/// Buffers that the truth reuses from frame to frame.
+/// Buffers that the computation of ground truth reuses from frame to frame.
 #[derive(Default)]
 pub(super) struct TruthScratch {
     pub(super) camera_buffers: Vec<CameraBuffers>,

@@ -1,4 +1,4 @@
-//! Light on wet tissue, the sensor, and the loop over packets.
+//! Shading of wet tissue, the sensor model, and the loop over packets.
 
 use panoscope_imaging::{SharedMut, ViewMut};
 
@@ -8,7 +8,7 @@ use super::lens::{Lens, TILE};
 use super::material::{SLOPE_LIMIT, TEXELS};
 use super::solid::{Entry, Part, add, dot};
 
-/// Light and skin, the same for all cameras of a frame.
+/// Light and surface, the same for all cameras of a frame.
 #[derive(Clone, Copy)]
 pub struct Skin<'a> {
     /// Baked texels.
@@ -36,17 +36,17 @@ pub struct Sensor<'a> {
     pub noise: f32,
     /// Hash of seed, frame and camera.
     pub key: u32,
-    /// Smoke at the corners of the coarse grid (rows of `grid_padded`), or empty.
+    /// Density of smoke at the corners of the coarse grid (rows of `grid_padded`), or empty.
     pub smoke: &'a [f32],
-    /// Clear share of the lens for each pixel, 255 = clean; empty without drops.
+    /// Transparency of the lens for each pixel, 255 = clean; empty without drops.
     pub drops: &'a [u8],
 }
 
-/// Everything the rows of one picture need.
+/// Inputs for the rows of one image.
 pub struct Picture<'a> {
     /// Rays.
     pub lens: &'a Lens,
-    /// Sub-frames: where the camera stood and what the coarse pass found.
+    /// Sub-frames: the camera's position and the result of the coarse pass.
     pub stations: &'a [(Station, Coarse)],
     /// Surface.
     pub field: Field<'a>,
@@ -115,7 +115,7 @@ fn texture<L: Lanes>(skin: &Skin, x: L, y: L) -> [L; LANES] {
     L::transpose(pixels)
 }
 
-/// Light (blue, green, red; 1 is a well-lit white) that eight rays bring back.
+/// Light (blue, green, red; 1 is a well-lit white) along eight rays.
 #[inline(always)]
 fn shade<L: Lanes>(picture: &Picture, station: &Station, rays: &Rays<L>, t: L) -> [L; 3] {
     let skin = &picture.skin;
@@ -171,7 +171,7 @@ fn shade<L: Lanes>(picture: &Picture, station: &Station, rays: &Rays<L>, t: L) -
     colour
 }
 
-/// Cosine law for a surface that lets light through sideways: `(cos + w) / (1 + w)`, not below 0.
+/// Cosine law for a translucent surface: `(cos + w) / (1 + w)`, not below 0.
 #[inline(always)]
 fn wrap<L: Lanes>(facing: L, w: f32) -> L {
     ((facing + L::splat(w)) * L::splat(1.0 / (1.0 + w))).max(L::splat(0.0))
@@ -189,7 +189,7 @@ fn breath_slope(skin: &Skin, x: f32, y: f32) -> (f32, f32) {
     ((skin.breath[row + right] - here) * gain, (skin.breath[below + column] - here) * gain)
 }
 
-/// Sum of four bytes of a hash: nearly normal; mean 510, standard deviation 147.8.
+/// Sum of four bytes of a hash: approximately normal; mean 510, standard deviation 147.8.
 #[inline(always)]
 fn bell<L: Lanes>(h: L::U) -> L {
     let even = L::u_splat(0x00ff_00ff);
@@ -198,7 +198,7 @@ fn bell<L: Lanes>(h: L::U) -> L {
     (L::from_i32(sum) - L::splat(510.0)) * L::splat(1.0 / 147.8)
 }
 
-/// Straight in the shadows, a shoulder to white at about 3, then a square root; 0 to 255 and above.
+/// Tone curve: linear in the shadows, a shoulder to white at about 3, then a square root; 0 to 255 and above.
 #[inline(always)]
 fn tone<L: Lanes>(light: L, gain: f32) -> L {
     let v = light * L::splat(gain);
@@ -207,7 +207,7 @@ fn tone<L: Lanes>(light: L, gain: f32) -> L {
     bent.sqrt() * L::splat(255.0)
 }
 
-/// Light to bytes: knee, square-root curve, shot and read noise.
+/// Converts light to bytes: knee, square-root curve, shot and read noise.
 #[inline(always)]
 fn expose<L: Lanes>(sensor: &Sensor, light: [L; 3], pixel: u32, out: &mut [u8; 24]) {
     let mut value = [tone(light[0], sensor.gain[0]), tone(light[1], sensor.gain[1]), tone(light[2], sensor.gain[2])];
@@ -226,7 +226,7 @@ fn expose<L: Lanes>(sensor: &Sensor, light: [L; 3], pixel: u32, out: &mut [u8; 2
     L::pack_bgr(value[0].clamp(0.0, 255.0), value[1].clamp(0.0, 255.0), value[2].clamp(0.0, 255.0), out);
 }
 
-/// Replaces the tissue where an instrument stands before it.
+/// Replaces the tissue where an instrument is in front of it.
 #[inline(never)]
 fn solids(
     picture: &Picture,
@@ -248,8 +248,7 @@ fn solids(
     }
 }
 
-/// Light that an instrument returns: plastic as tissue does, steel mostly as a mirror of the red cavity and of the
-/// light.
+/// Light that an instrument reflects: plastic like tissue, steel mostly as a mirror of the red cavity and of the light.
 fn steel(skin: &Skin, coarse: &Coarse, d: [f64; 3], entry: &Entry, part: &Part) -> [f32; 3] {
     let unit = |v: [f64; 3]| {
         let inv = 1.0 / dot(v, v).sqrt().max(1e-12);
@@ -334,7 +333,7 @@ fn rows<L: Lanes>(picture: &Picture, first: usize, out: &mut ViewMut<u8>) {
     }
 }
 
-/// Corner values interpolated over a packet.
+/// Interpolates corner values over a packet.
 #[inline(always)]
 fn corner_lerp<L: Lanes>(lens: &Lens, corners: &[f32], column: usize, row: usize) -> L {
     let v = (row % TILE) as f32 * (1.0 / TILE as f32);
@@ -344,7 +343,7 @@ fn corner_lerp<L: Lanes>(lens: &Lens, corners: &[f32], column: usize, row: usize
     L::splat(left) + L::splat(right - left) * L::load(&[0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 }
 
-/// Depths along the axis of rows `first..`, mm; NaN where a ray meets nothing.
+/// Depths along the axis of rows `first..`, mm; NaN where a ray hits nothing.
 #[inline(always)]
 fn depth_rows<L: Lanes>(field: &Field, lens: &Lens, station: &Station, coarse: &Coarse, first: usize, out: &mut [f32]) {
     for (line, pixels) in out.chunks_exact_mut(lens.width).enumerate() {
@@ -394,7 +393,7 @@ macro_rules! entries {
         pub fn classify(field: &Field, station: &Station, lens: &Lens, depth: &[f32], row: usize, tiles: &mut [Tile]) {
             classify_row(field, station, lens, depth, row, tiles);
         }
-        /// First hits of eight rays given by normalised camera coordinates, from depth `start` where that is clear.
+        /// First hits of eight rays given by normalised camera coordinates, starting from depth `start` where that is in front of the surface.
         $(#[$attribute])*
         pub fn first_hits(field: &Field, station: &Station, x: &[f32; LANES], y: &[f32; LANES], start: f32) -> [f32; LANES] {
             let rays = Rays::<$lanes>::new(station, <$lanes>::load(x), <$lanes>::load(y));
@@ -410,16 +409,16 @@ pub mod portable {
     entries!(crate::render::lanes::Portable,);
 }
 
-/// Kernels on AVX2 registers; to be called only where AVX2 was detected.
+/// Kernels on AVX2 registers; call them only if AVX2 was detected.
 #[cfg(target_arch = "x86_64")]
 pub mod avx2 {
     entries!(crate::render::lanes::Avx2, #[target_feature(enable = "avx2")]);
 }
 
-/// Rows of a picture as a view, for chunks that write disjoint rows of one picture.
+/// Rows of an image as a view, for chunks that write disjoint rows of one image.
 ///
 /// # Safety
-/// No two parts alive at the same time may share rows.
+/// No two parts that are alive at the same time may share rows.
 pub unsafe fn rows_of<'a>(
     shared: &SharedMut<'a, u8>,
     stride: usize,

@@ -1,4 +1,4 @@
-//! Solids drawn before the tissue: tapered capsules, optionally flattened, met by rays exactly.
+//! Solids drawn in front of the tissue: tapered capsules, optionally flattened, intersected exactly.
 
 /// Colour and finish of a solid.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,29 +9,29 @@ pub struct Paint {
     pub metal: f32,
 }
 
-/// Two balls and the cone that wraps them, in some frame, mm.
+/// Two balls and the cone that wraps them, mm.
 #[derive(Clone, Copy, Debug)]
 pub struct Part {
     /// Centre and radius of the first ball.
     pub a: [f64; 3],
-    /// See `a`.
+    /// Radius of the first ball.
     pub radius_a: f64,
     /// Centre and radius of the second ball.
     pub b: [f64; 3],
-    /// See `b`.
+    /// Radius of the second ball.
     pub radius_b: f64,
     /// Unit direction along which the part is squeezed, and its thickness there relative to a round one, 0..=1.
     pub flat: ([f64; 3], f64),
     /// Finish.
     pub paint: Paint,
-    /// Which instrument it belongs to, from 1.
+    /// Number of the instrument it belongs to, from 1.
     pub id: u8,
 }
 
-/// Where a ray enters a part.
+/// Entry point of a ray into a part.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Multiple of the ray's direction.
+    /// Entry parameter: multiple of the ray's direction.
     pub t: f64,
     /// Outward normal, not normalised.
     pub normal: [f64; 3],
@@ -45,19 +45,19 @@ pub(super) fn add(a: [f64; 3], b: [f64; 3], scale: f64) -> [f64; 3] {
     [a[0] + b[0] * scale, a[1] + b[1] * scale, a[2] + b[2] * scale]
 }
 
-/// A part made ready for rays from the origin.
+/// A part prepared for rays from the origin.
 #[derive(Clone, Copy, Debug)]
 pub struct Solid {
     /// The part.
     pub part: Part,
-    /// What undoing the squeeze adds along the flat direction.
+    /// Extra scale along the flat direction that undoes the squeeze.
     stretch: f64,
     /// From the first ball's centre to the origin, unsqueezed.
     o: [f64; 3],
-    /// Unit axis.
+    /// Unit vector along the axis.
     u: [f64; 3],
     length: f64,
-    /// Sine and squared cosine of the cone's half angle; the sine is 1 or more where one ball holds the other.
+    /// Sine and squared cosine of the cone's half angle; the sine is 1 or more if one ball contains the other.
     sine: f64,
     cos2: f64,
     /// Position of the origin along the axis, radius of the cone there, and the constant term of its equation.
@@ -67,7 +67,7 @@ pub struct Solid {
 }
 
 impl Solid {
-    /// Computes once what all rays share.
+    /// Precomputes what all rays share.
     pub fn new(part: Part) -> Self {
         let (n, thickness) = part.flat;
         let stretch = 1.0 / thickness - 1.0;
@@ -133,7 +133,7 @@ impl Solid {
 }
 
 impl Part {
-    /// Whether a ray within `spread` (radians) of the unit direction `d` can meet the part: never says no wrongly.
+    /// Whether a ray within `spread` (radians) of the unit direction `d` can hit the part. May return true wrongly, never false.
     pub fn near(&self, d: [f64; 3], spread: f64) -> bool {
         let axis = add(self.b, self.a, -1.0);
         // Closest points of the half line t * d and the segment a + s * axis, by two rounds of projection from

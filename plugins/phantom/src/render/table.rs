@@ -1,12 +1,12 @@
-//! Large tables whose memory goes back to the system with them.
+//! Large tables whose memory is returned to the system when they are dropped.
 
 use std::ops::{Deref, DerefMut};
 
-/// Values of a scene. The pages of a dropped table are released at once, whoever owns the heap.
+/// Values of a scene. The pages of a dropped table are released at once, whichever heap owns them.
 ///
-/// glibc keeps a freed block of up to 32 MiB in the arena of the thread that allocated it (`M_MMAP_THRESHOLD` in mallopt(3)), and
-/// `malloc_trim` does not release the end of such an arena. A program can set the threshold; a plugin in a process of Python cannot: there,
-/// each arena that a scene was opened in kept 36 MB.
+/// glibc keeps a freed block of up to 32 MiB in the arena of the thread that allocated it (`M_MMAP_THRESHOLD` in mallopt(3)), and `malloc_trim` does
+/// not release the end of such an arena. A program can set the threshold; a plugin in a Python process cannot: there, each arena in which a scene was
+/// opened kept 36 MB.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table<T: Copy>(Vec<T>);
 
@@ -64,7 +64,7 @@ mod tests {
 
     const BYTES: usize = 16 << 20;
 
-    /// Pages in memory from `start` on; 0 where nothing is mapped any more.
+    /// Number of resident pages from `start` on; 0 if nothing is mapped.
     fn resident_pages(start: usize) -> usize {
         let start = start.next_multiple_of(4096);
         let mut pages = vec![0u8; BYTES / 4096 - 1];

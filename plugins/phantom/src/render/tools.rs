@@ -1,4 +1,4 @@
-//! Instruments: shapes and joints of the seven kinds, their movement, their truth in a picture.
+//! Instruments: shapes and joints of the seven kinds, their movement, their ground truth in an image.
 
 use super::kinds::ToolKind;
 use super::math::{Pose, Stream, sin_turns};
@@ -6,22 +6,22 @@ use super::params::SceneParams;
 use super::scenario::Script;
 use super::solid::{Paint, Part, Solid, add, dot};
 
-/// Truth of one instrument in the first camera's ideal view.
+/// Ground truth of one instrument in the first camera's ideal view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolTruth {
     /// Kind.
     pub kind: ToolKind,
     /// Value of its pixels in the plane of identities.
     pub id: u8,
-    /// Pixels seen.
+    /// Number of visible pixels.
     pub pixels: usize,
-    /// Box around them: x, y, width, height, px; all zero when none is seen.
+    /// Bounding box of the visible pixels: x, y, width, height, px; all zero if none is visible.
     pub bounds_px: [usize; 4],
     /// The tip in the first camera's frame, mm.
     pub tip_mm: [f64; 3],
-    /// Where the tip projects, px; NaN behind the camera.
+    /// Projection of the tip, px; NaN behind the camera.
     pub tip_px: [f64; 2],
-    /// Whether the tip lies inside the picture with nothing before it.
+    /// Whether the tip is inside the image with nothing in front of it.
     pub tip_visible: bool,
 }
 
@@ -37,19 +37,19 @@ const BAG: Paint = Paint { albedo: [0.26, 0.31, 0.33], metal: 0.05 };
 pub struct Tool {
     kind: ToolKind,
     id: u8,
-    /// Where it passes the wall of the belly, scene, mm.
+    /// Where it passes the abdominal wall, scene, mm.
     trocar: [f64; 3],
     /// Mean position of the tip, scene, mm.
     home: [f64; 3],
-    /// Amplitude mm, frequency Hz and phase of the tip along x, y, z.
+    /// Movement of the tip along x, y, z: amplitude (mm), frequency (Hz), phase (turns).
     sway: [[f64; 3]; 3],
     roll: [f64; 3],
     open: [f64; 3],
-    /// Movement of the leading one, or of the second one before it.
+    /// Script of the leading instrument, or of the second one that passes in front of it.
     script: Option<Script>,
 }
 
-/// Share of the distance to the tissue at which the leading instrument's tip stands when it is scripted.
+/// Depth of the tip of a scripted leading instrument, as a share of the distance to the tissue.
 const SCRIPTED_DEPTH: f64 = 0.78;
 
 /// Share of its roll that a scripted instrument keeps.
@@ -82,7 +82,7 @@ impl Posed {
     }
 }
 
-/// The instruments of a scene: `params.tools` of them.
+/// The `params.tools` instruments of a scene.
 pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
     let mut stream = Stream::new(params.seed, 400);
     let first = stream.bits() as usize;
@@ -118,7 +118,7 @@ pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
 }
 
 impl Tool {
-    /// Moves by a script instead of swinging: the first instrument always, the second where the script says how it passes.
+    /// Replaces swinging by a script: always for the first instrument, for the second only if the script lets it pass.
     fn follow(&mut self, script: Script, distance_mm: f64) {
         let leads = self.id == 1;
         if script.is_sway() || !(leads || script.crossing(0.0).is_some()) {
@@ -129,7 +129,7 @@ impl Tool {
         self.script = Some(script);
     }
 
-    /// Where the tip stands at a time.
+    /// Position of the tip at a time, scene, mm.
     fn tip(&self, seconds: f64) -> [f64; 3] {
         let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
         let Some(script) = &self.script else { return [0, 1, 2].map(|k| self.home[k] + swing(self.sway[k])) };
@@ -143,15 +143,36 @@ impl Tool {
         add(self.home, offset, 1.0)
     }
 
-    /// The instrument at a time.
+    /// Pose of the instrument at a time.
     pub fn at(&self, seconds: f64) -> Posed {
-        let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
         let tip = self.tip(seconds);
         let toward = add(tip, self.trocar, -1.0);
         let long = dot(toward, toward).sqrt().max(1e-6);
         let z = toward.map(|v| v / long);
-        // Any direction across the shaft, then rolled about it. A scripted one is held as a surgeon does who wants to see what it does: what is bent
-        // or opens lies across the line of sight, so that no part of it ever stands before its tip.
+        let (x, y) = self.across(z, seconds);
+        // Half the angle between the jaws, turns.
+        let half = 0.055 + swing(self.open, seconds);
+        let (js, jc) = (sin_turns(half), sin_turns(half + 0.25));
+        let reach = match self.kind {
+            ToolKind::Grasper | ToolKind::Scissors => 17.0 * jc,
+            ToolKind::Bipolar => 19.0 * jc,
+            ToolKind::Hook => 13.0,
+            ToolKind::Clipper => 13.0 * jc,
+            ToolKind::Irrigator => 10.0,
+            ToolKind::SpecimenBag => 24.0,
+        };
+        // The joint is where the tip's position along the shaft leads back to.
+        let joint = add(tip, z, -reach);
+        let frame = JointFrame { joint, axes: [x, y, z], jaw: [js, jc], id: self.id };
+        let blank = frame.part(joint, 0.1, joint, 0.1, STEEL);
+        let mut tool = Posed { kind: self.kind, id: self.id, tip, parts: [blank; 6], count: 0 };
+        self.assemble(&frame, &mut tool);
+        tool
+    }
+
+    /// Two unit vectors across the shaft `z`, rolled about it. A scripted instrument is held so that what is bent or opens is across the line of
+    /// sight: no part of it is ever in front of its tip.
+    fn across(&self, z: [f64; 3], seconds: f64) -> ([f64; 3], [f64; 3]) {
         let held = self.script.is_some() && z[2].abs() < 0.9;
         let seed = match z {
             _ if held => [0.0, 0.0, 1.0],
@@ -162,54 +183,26 @@ impl Tool {
         let inv = 1.0 / dot(x0, x0).sqrt();
         let x0 = x0.map(|v| v * inv);
         let y0 = cross(z, x0);
-        let turn = swing(self.roll) * if held { HELD_ROLL } else { 1.0 };
+        let turn = swing(self.roll, seconds) * if held { HELD_ROLL } else { 1.0 };
         let (s, c) = (sin_turns(turn), sin_turns(turn + 0.25));
         let x = add(x0.map(|v| v * c), y0, s);
-        let y = cross(z, x);
-        // Half the angle between the jaws, turns.
-        let half = 0.055 + swing(self.open);
-        let (js, jc) = (sin_turns(half), sin_turns(half + 0.25));
-        let reach = match self.kind {
-            ToolKind::Grasper | ToolKind::Scissors => 17.0 * jc,
-            ToolKind::Bipolar => 19.0 * jc,
-            ToolKind::Hook => 13.0,
-            ToolKind::Clipper => 13.0 * jc,
-            ToolKind::Irrigator => 10.0,
-            ToolKind::SpecimenBag => 24.0,
-        };
-        // The joint lies where the tip's position along the shaft leads back to.
-        let joint = add(tip, z, -reach);
-        let place = |px: f64, py: f64, pz: f64| add(add(add(joint, x, px), y, py), z, pz);
-        let round = (y, 1.0);
-        let id = self.id;
-        let blank = Part { a: joint, radius_a: 0.1, b: joint, radius_b: 0.1, flat: round, paint: STEEL, id };
-        let mut tool = Posed { kind: self.kind, id, tip, parts: [blank; 6], count: 0 };
-        let part = |a: [f64; 3], radius_a: f64, b: [f64; 3], radius_b: f64, paint: Paint| Part {
-            a,
-            radius_a,
-            b,
-            radius_b,
-            flat: round,
-            paint,
-            id,
-        };
-        let jaws = |tool: &mut Posed, length: f64, base: f64, end: f64, thickness: f64, paint: Paint| {
-            for side in [-1.0, 1.0] {
-                let tip = place(side * js * (length - end), 0.0, jc * (length - end));
-                let flat = (y, thickness);
-                tool.push(Part { flat, ..part(place(side * 0.6, 0.0, 0.0), base, tip, end, paint) });
-            }
-        };
+        (x, cross(z, x))
+    }
+
+    /// Adds the parts of the instrument's kind.
+    fn assemble(&self, frame: &JointFrame, tool: &mut Posed) {
+        let place = |px: f64, py: f64, pz: f64| frame.place(px, py, pz);
+        let part = |a, radius_a, b, radius_b, paint| frame.part(a, radius_a, b, radius_b, paint);
         match self.kind {
             ToolKind::Grasper => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -5.0), 2.5, SHAFT));
                 tool.push(part(place(0.0, 0.0, -5.0), 2.2, place(0.0, 0.0, 0.0), 1.8, STEEL));
-                jaws(&mut tool, 17.0, 1.5, 1.0, 1.0, STEEL);
+                frame.push_jaws(tool, 17.0, 1.5, 1.0, 1.0, STEEL);
             }
             ToolKind::Bipolar => {
                 tool.push(part(self.trocar, 2.6, place(0.0, 0.0, -8.0), 2.6, BLACK));
                 tool.push(part(place(0.0, 0.0, -8.0), 2.4, place(0.0, 0.0, -1.0), 1.6, BLUE));
-                jaws(&mut tool, 19.0, 1.2, 0.6, 0.8, STEEL);
+                frame.push_jaws(tool, 19.0, 1.2, 0.6, 0.8, STEEL);
             }
             ToolKind::Hook => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -4.0), 2.5, BLACK));
@@ -220,12 +213,12 @@ impl Tool {
             ToolKind::Scissors => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -4.0), 2.5, BLACK));
                 tool.push(part(place(0.0, 0.0, -4.0), 2.1, place(0.0, 0.0, 0.0), 1.7, STEEL));
-                jaws(&mut tool, 17.0, 1.9, 0.4, 0.35, STEEL);
+                frame.push_jaws(tool, 17.0, 1.9, 0.4, 0.35, STEEL);
             }
             ToolKind::Clipper => {
                 tool.push(part(self.trocar, 4.6, place(0.0, 0.0, -5.0), 4.6, SHAFT));
                 tool.push(part(place(0.0, 0.0, -5.0), 3.4, place(0.0, 0.0, 0.0), 2.4, STEEL));
-                jaws(&mut tool, 13.0, 1.7, 1.3, 0.7, STEEL);
+                frame.push_jaws(tool, 13.0, 1.7, 1.3, 0.7, STEEL);
             }
             ToolKind::Irrigator => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, 7.5), 2.5, STEEL));
@@ -237,15 +230,52 @@ impl Tool {
             }
             ToolKind::SpecimenBag => {
                 tool.push(part(self.trocar, 2.5, place(0.0, 0.0, 0.0), 2.5, SHAFT));
-                tool.push(Part { flat: (y, 0.6), ..part(place(0.0, 0.0, 4.0), 4.0, place(0.0, 0.0, 16.0), 8.0, BAG) });
+                tool.push(Part {
+                    flat: (frame.axes[1], 0.6),
+                    ..part(place(0.0, 0.0, 4.0), 4.0, place(0.0, 0.0, 16.0), 8.0, BAG)
+                });
             }
         }
-        tool
+    }
+}
+
+/// Value of an oscillation (amplitude, Hz, phase in turns) at a time.
+fn swing([amplitude, hz, phase]: [f64; 3], seconds: f64) -> f64 {
+    amplitude * sin_turns(hz * seconds + phase)
+}
+
+/// The joint of an instrument, mm, with the axes of its parts: two across the shaft, and one along it towards the tip.
+struct JointFrame {
+    joint: [f64; 3],
+    axes: [[f64; 3]; 3],
+    /// Sine and cosine of half the angle between the jaws.
+    jaw: [f64; 2],
+    id: u8,
+}
+
+impl JointFrame {
+    /// A point given along the axes from the joint.
+    fn place(&self, px: f64, py: f64, pz: f64) -> [f64; 3] {
+        let [x, y, z] = self.axes;
+        add(add(add(self.joint, x, px), y, py), z, pz)
+    }
+
+    fn part(&self, a: [f64; 3], radius_a: f64, b: [f64; 3], radius_b: f64, paint: Paint) -> Part {
+        Part { a, radius_a, b, radius_b, flat: (self.axes[1], 1.0), paint, id: self.id }
+    }
+
+    fn push_jaws(&self, tool: &mut Posed, length: f64, base: f64, end: f64, thickness: f64, paint: Paint) {
+        let [js, jc] = self.jaw;
+        for side in [-1.0, 1.0] {
+            let tip = self.place(side * js * (length - end), 0.0, jc * (length - end));
+            let flat = (self.axes[1], thickness);
+            tool.push(Part { flat, ..self.part(self.place(side * 0.6, 0.0, 0.0), base, tip, end, paint) });
+        }
     }
 }
 
 impl Posed {
-    /// Appends the parts in the frame of a camera `offset_mm` beside the first one.
+    /// Appends the parts in the frame of a camera at `offset_mm` from the first one.
     pub fn place_in_camera(&self, pose: &Pose, offset_mm: [f64; 3], out: &mut Vec<Solid>) {
         for part in self.parts() {
             let (a, b) = (to_camera(pose, offset_mm, part.a), to_camera(pose, offset_mm, part.b));
@@ -256,7 +286,7 @@ impl Posed {
     }
 }
 
-/// A point of the scene in a camera's frame, mm.
+/// Transforms a point of the scene to a camera's frame, mm.
 pub fn to_camera(pose: &Pose, offset_mm: [f64; 3], p: [f64; 3]) -> [f64; 3] {
     let r = pose.rotation();
     let q = add(p, pose.translation_mm, -1.0);

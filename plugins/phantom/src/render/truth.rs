@@ -1,7 +1,7 @@
-//! Exact truth of a frame: depth, disparity, visibility, the best plane homography, the wide view.
+//! Exact ground truth of a frame: depth, disparity, visibility, the best plane homography, the wide view.
 //!
-//! Truth belongs to the ideal pinhole cameras: those that a perfect rectification would make of the real
-//! ones (same focal length, principal point and place, no distortion).
+//! Ground truth refers to the ideal pinhole cameras: those that a perfect rectification would make of the real ones (same focal length, principal
+//! point and position, no distortion).
 
 use panoscope_imaging::{Parallel, SharedMut, ViewMut};
 
@@ -20,9 +20,9 @@ use super::tools::{ToolTruth, to_camera};
 
 /// Rows of one chunk.
 const CHUNK_ROWS: usize = 16;
-/// A point is visible when the other camera's first hit lies within this distance along its axis, mm.
+/// A point is visible when the other camera's first hit is within this distance along its axis, mm.
 const SEEN_MM: f32 = 0.05;
-/// Depth of its own instrument that may lie in front of a visible tip, mm.
+/// Depth of an instrument's own parts that may be in front of a visible tip, mm.
 const TIP_DEPTH_MM: f64 = 2.0;
 
 /// The planes to compute. Each has the size of the first camera and one channel.
@@ -30,10 +30,10 @@ const TIP_DEPTH_MM: f64 = 2.0;
 pub struct TruthMut<'a> {
     /// Depth along the first camera's axis, mm; NaN where its ray meets nothing.
     pub depth_mm: Option<ViewMut<'a, f32>>,
-    /// `fx * baseline / depth`, px: the point lies at `(u - disparity, v)` in the second view. Given wherever
-    /// the first camera's ray hits, seen by the second camera or not.
+    /// `fx * baseline / depth`, px: the point is at `(u - disparity, v)` in the second view. Set wherever the first camera's ray hits, whether the
+    /// second camera sees the point or not.
     pub disparity_px: Option<ViewMut<'a, f32>>,
-    /// 255 where the second camera sees the same point: inside its picture and not hidden.
+    /// 255 where the second camera sees the same point: inside its image and not hidden.
     pub visible: Option<ViewMut<'a, u8>>,
 }
 
@@ -77,7 +77,7 @@ impl Phantom {
         Ok(())
     }
 
-    /// Depth of the first camera into the work memory, which the caller puts back.
+    /// Depth of the first camera, in the work memory, which the caller must return.
     fn solve_depth(
         &mut self,
         frame: u64,
@@ -181,8 +181,8 @@ impl Phantom {
         });
     }
 
-    /// Marks the instruments in `ids` (the first camera's ideal view: 0 tissue, else the instrument's identity) and
-    /// says what is true of each, in order of identity.
+    /// Marks the instruments in `ids` (the first camera's ideal view: 0 tissue, else the instrument's identity) and returns the ground truth of each,
+    /// in order of identity.
     ///
     /// # Errors
     /// A plane of the wrong size, a pose that is not finite.
@@ -284,8 +284,8 @@ impl Phantom {
         Ok(fit)
     }
 
-    /// Draws what one ideal camera at the first camera's position, with a larger sensor, would see: no noise, no
-    /// distortion. Allocates only when the canvas changes.
+    /// Draws the view of one ideal camera with a larger sensor at the first camera's position: no noise, no distortion. Allocates only when the
+    /// canvas changes.
     ///
     /// # Errors
     /// A canvas of more than 8192 px a side, a view of another size, a pose that is not finite.
@@ -307,7 +307,7 @@ impl Phantom {
         Ok(())
     }
 
-    /// The wide camera of `canvas`, in place and with its coarse pass done; the caller puts it back.
+    /// The wide camera of `canvas`, positioned and with its coarse pass done; the caller must return it.
     pub(super) fn wide_eye(
         &mut self,
         frame: u64,

@@ -2,23 +2,22 @@
 
 use super::math::{Stream, cos_turns, sin_turns};
 
-/// How a family of vessels grows.
+/// Growth parameters of a family of vessels.
 #[derive(Clone, Copy, Debug)]
 pub struct Growth {
     /// Trees in the whole map.
     pub trees: usize,
     /// Width of a trunk, mm.
     pub trunk_mm: f32,
-    /// Width at which a twig ends, mm.
+    /// Width below which a twig ends, mm.
     pub twig_mm: f32,
-    /// Chance of a branch per mm.
+    /// Probability of a branch per mm.
     pub branching_per_mm: f32,
-    /// How strongly the direction wanders, turns per square root of a mm.
+    /// Wandering of the direction, turns per square root of a mm.
     pub tortuosity: f32,
 }
 
-/// Draws trees of vessels into `plane` (`size` x `size` bytes, periodic): 0 outside, up to 255 on the axis
-/// of a thick vessel; thin ones are fainter.
+/// Draws trees of vessels into `plane` (`size` x `size` bytes, periodic): 0 outside, up to 255 on the axis of a thick vessel; thin ones are fainter.
 pub fn draw_vessels(stream: &mut Stream, growth: &Growth, plane: &mut [u8], size: usize, texel_mm: f32) {
     const STEP_MM: f32 = 0.12;
     let extent = size as f32 * texel_mm;
@@ -67,7 +66,7 @@ fn strength(width_mm: f32) -> f32 {
     0.35 + 0.65 * (width_mm / 0.6).min(1.0)
 }
 
-/// Keeps the larger of the plane and a soft disc.
+/// Draws a soft disc; each pixel keeps the larger value.
 fn stamp(plane: &mut [u8], size: usize, [x, y]: [f32; 2], width: f32, strength: f32) {
     let radius = (width * 0.5).max(0.7);
     // A vessel thinner than a texel is drawn one texel wide but fainter.

@@ -6,10 +6,10 @@ use std::io::{self, BufRead, Seek};
 use panoscope_data::formats::json;
 use panoscope_node::{Detections, Instances};
 
-/// Makes one line of a journal for each tick, and the file from the journal, so that memory does not grow with the run. Image ids are tick
+/// Writes one line of a journal for each tick, and the final file from the journal, so that memory does not grow with the run. Image ids are tick
 /// numbers, category ids are class index + 1, as in COCO.
 ///
-/// A line is a JSON object: `categories` that are new, the `image`, its `annotations`.
+/// A line is a JSON object with new `categories`, the `image`, and its `annotations`.
 #[derive(Debug, Default)]
 pub struct Coco {
     categories: Vec<String>,
@@ -17,7 +17,7 @@ pub struct Coco {
     count: u64,
 }
 
-/// What stands before the parts of a line. Inside of a JSON string the quotes would be escaped.
+/// Marks where a part of a line begins. Inside a JSON string the quotes would be escaped.
 const IMAGE: &str = "\"image\":";
 const ANNOTATIONS: &str = ",\"annotations\":[";
 const LINE_END: &str = "]}\n";
@@ -48,12 +48,12 @@ impl Coco {
         self.ticks
     }
 
-    /// Appends the line of tick `seq` to `out`: boxes of the picture called `file_name`.
+    /// Appends the line of tick `seq` to `out`: boxes of the image called `file_name`.
     pub fn push_detections(&mut self, out: &mut String, seq: u64, file_name: &str, detections: &Detections<'_>) {
         self.push(out, seq, file_name, detections, None);
     }
 
-    /// Appends the line of tick `seq` to `out`: boxes and masks of the picture called `file_name`.
+    /// Appends the line of tick `seq` to `out`: boxes and masks of the image called `file_name`.
     pub fn push_instances(&mut self, out: &mut String, seq: u64, file_name: &str, instances: &Instances<'_>) {
         self.push(out, seq, file_name, &instances.detections(), Some(instances));
     }
@@ -110,7 +110,7 @@ impl Coco {
         self.ticks += 1;
     }
 
-    /// Writes the whole file from the lines of its journal.
+    /// Writes the final file from the lines of its journal.
     ///
     /// # Errors
     /// Those of `journal` and `out`.

@@ -1,8 +1,8 @@
-//! Matroska (RFC 9559) with one video track, written so that a file that is cut off anywhere still plays.
+//! Matroska (RFC 9559) with one video track, written so that a file that is truncated anywhere still plays.
 //!
-//! Every frame is a cluster of its own with its size in front, and the segment's size is unknown until [`Muxer::finish`]
-//! writes it together with the duration, the index and the position of the index. GStreamer's `matroskamux` collects several frames in a
-//! cluster and reports failed writes only after the call that caused them, so it does not replace this module.
+//! Every frame is a separate cluster with its size in front, and the segment's size is unknown until [`Muxer::finish`] writes it together with the
+//! duration, the index and the position of the index. GStreamer's `matroskamux` collects several frames in a cluster and reports failed writes only
+//! after the call that caused them, so it does not replace this module.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -24,7 +24,7 @@ fn id(out: &mut Vec<u8>, id: u32) {
     out.extend_from_slice(&bytes[skip..]);
 }
 
-/// A size in eight bytes, whatever it is.
+/// Writes a size in eight bytes, whatever its value.
 fn size8(out: &mut Vec<u8>, size: u64) {
     out.extend_from_slice(&(size | 1 << 56).to_be_bytes());
 }
@@ -45,7 +45,7 @@ fn number(out: &mut Vec<u8>, tag: u32, value: u64) {
     element(out, tag, &bytes[skip..]);
 }
 
-/// An element that means nothing and takes `len` bytes (2..=128), to be overwritten later.
+/// Writes a void element of `len` bytes (2..=128), to be overwritten later.
 fn reserve(out: &mut Vec<u8>, len: usize) {
     element(out, VOID, &vec![0; len - 2]);
 }
@@ -56,7 +56,7 @@ fn master(out: &mut Vec<u8>, tag: u32, fill: impl FnOnce(&mut Vec<u8>)) {
     element(out, tag, &body);
 }
 
-/// What the video is written to.
+/// Destination of the video.
 pub trait Output: Write + Seek {
     /// Truncates the file to `len` bytes; writing continues there.
     ///
@@ -64,10 +64,10 @@ pub trait Output: Write + Seek {
     /// Those of the system.
     fn cut(&mut self, len: u64) -> io::Result<()>;
 
-    /// Hands everything to the disk.
+    /// Flushes everything to the disk.
     ///
     /// # Errors
-    /// Those of the system, also of writes that it has put off.
+    /// Those of the system, including deferred writes.
     fn sync(&mut self) -> io::Result<()>;
 }
 
@@ -87,7 +87,7 @@ impl Output for File {
 pub struct Track {
     /// Matroska's name of the codec, such as `V_MJPEG`.
     pub codec: &'static str,
-    /// What a decoder needs before the first frame; empty where it needs nothing.
+    /// Initialisation data of the decoder; empty if it needs none.
     pub private: Vec<u8>,
     /// Columns and rows, px.
     pub size_px: (usize, usize),
@@ -95,7 +95,7 @@ pub struct Track {
     pub is_webm: bool,
 }
 
-/// Writes one file.
+/// Writes one Matroska file.
 #[derive(Debug)]
 pub struct Muxer<W: Output> {
     out: W,
@@ -104,9 +104,9 @@ pub struct Muxer<W: Output> {
     seek_head_at: u64,
     duration_at: u64,
     default_duration_at: u64,
-    /// End of the last whole frame.
+    /// End of the last complete frame.
     at: u64,
-    /// Time in ms and position of each key frame.
+    /// Time (ms) and position of each keyframe.
     cues: Vec<(u64, u64)>,
     frames: u64,
     /// Times of the first and the newest frame, ms.
@@ -114,13 +114,13 @@ pub struct Muxer<W: Output> {
     head: Vec<u8>,
 }
 
-/// Room for elements that only the end of a recording knows.
+/// Reserved bytes for elements that are known only at the end of a recording.
 const SEEK_HEAD_LEN: usize = 40;
 const DURATION_LEN: usize = 2 + 1 + 8;
 const DEFAULT_DURATION_LEN: usize = 3 + 1 + 8;
 
 impl<W: Output> Muxer<W> {
-    /// Writes the head of a file.
+    /// Writes the header of a file.
     ///
     /// # Errors
     /// Those of `out`.
@@ -173,10 +173,11 @@ impl<W: Output> Muxer<W> {
         Ok(Self { out, segment_at, seek_head_at, duration_at, default_duration_at, at, cues, frames, span_ms, head: b })
     }
 
-    /// Appends a frame that is shown from `time_ms` on; times grow. The frame is with the system on return. Seeking starts at frames with `is_key`.
+    /// Appends a frame that is shown from `time_ms` on; times must increase. The frame has been passed to the system on return. Seeking starts at
+    /// frames with `is_key`.
     ///
     /// # Errors
-    /// Those of the file, which then ends with the frame before.
+    /// Those of the file, which then ends with the previous frame.
     pub fn push(&mut self, time_ms: u64, frame: &[u8], is_key: bool) -> io::Result<()> {
         let mut block = Vec::with_capacity(32);
         number(&mut block, 0xE7, time_ms); // the cluster's time
@@ -203,10 +204,10 @@ impl<W: Output> Muxer<W> {
         Ok(())
     }
 
-    /// Writes index, duration and sizes and hands the file to the disk.
+    /// Writes index, duration and sizes, and flushes the file to the disk.
     ///
     /// # Errors
-    /// The first one of the file: it plays as far as it was written, and where only the index did not fit it is complete without.
+    /// The first one of the file. The file plays as far as it was written; if only the index did not fit, it is complete without one.
     pub fn finish(&mut self) -> io::Result<()> {
         let mut cues = Vec::with_capacity(self.cues.len() * 24);
         master(&mut cues, CUES, |b| {
@@ -231,7 +232,7 @@ impl<W: Output> Muxer<W> {
         indexed
     }
 
-    /// Fills in what only the end knows; nothing here makes the file longer.
+    /// Fills in what is known only at the end; never makes the file longer.
     fn complete(&mut self, is_indexed: bool, end: u64) -> io::Result<()> {
         let mut patch = Vec::new();
         let (first_ms, last_ms) = self.span_ms;

@@ -1,4 +1,4 @@
-//! Formats that only sinks write; `panoscope_data::formats` has the others.
+//! Formats that only sinks write; the others are in `panoscope_data::formats`.
 
 pub mod coco;
 pub mod mkv;

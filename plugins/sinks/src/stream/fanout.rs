@@ -1,4 +1,4 @@
-//! One encoder, many receivers: each gets the packets from a key frame on, and none waits for another.
+//! One encoder, many receivers: each gets packets from a keyframe on, and none waits for another.
 
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -9,10 +9,11 @@ use panoscope_media::{MediaError, Packet, make};
 
 use super::codec::StreamCodec;
 
-/// Packets that may wait for a receiver. One that is farther behind gets no more until it has caught up, and then starts at a key frame.
+/// Maximum number of packets that wait for a receiver. A receiver that is further behind gets no more until it has caught up, and then starts at a
+/// keyframe.
 const MAX_WAITING: u64 = 8;
 
-/// How packets travel in RTP.
+/// How packets are carried in RTP.
 #[derive(Clone, Copy, Debug)]
 pub struct Payload {
     element: &'static str,
@@ -20,7 +21,7 @@ pub struct Payload {
 }
 
 impl Payload {
-    /// That of a codec.
+    /// The payload of a codec.
     pub fn of(codec: StreamCodec) -> Self {
         match codec {
             StreamCodec::H264 => {
@@ -33,21 +34,21 @@ impl Payload {
         }
     }
 
-    /// Makes the element once.
+    /// Creates the element once.
     ///
     /// # Errors
-    /// It is missing: the error names the package to install.
+    /// The element is missing; the error names the package to install.
     pub fn check(self) -> Result<(), MediaError> {
         make(self.element).map(drop)
     }
 
-    /// The element as part of a pipeline's text; `name` is its name.
+    /// The element as part of a pipeline's text, with the name `name`.
     pub fn text(self, name: &str) -> String {
         format!("{} name={name} {}", self.element, self.options)
     }
 }
 
-/// The text of the element that packets enter a pipeline by.
+/// Text of the element through which packets enter a pipeline.
 pub const SOURCE: &str =
     "appsrc name=source is-live=true format=time do-timestamp=true max-buffers=0 max-bytes=0 max-time=0";
 
@@ -55,11 +56,11 @@ struct Consumer {
     id: u64,
     source: AppSrc,
     caps: Option<Caps>,
-    /// It has none yet, or lost some: only a key frame can go on.
+    /// Whether the receiver has no packet yet, or lost some: it can continue only at a keyframe.
     needs_key: bool,
 }
 
-/// Who receives the packets of a stream.
+/// The receivers of a stream's packets.
 #[derive(Default)]
 pub struct Fanout {
     consumers: Mutex<Vec<Consumer>>,
@@ -70,16 +71,16 @@ pub struct Fanout {
     held_back: AtomicU64,
 }
 
-/// What happened so far.
+/// Counts since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Receivers now.
+    /// Number of receivers now.
     pub consumers: usize,
-    /// Pictures that were encoded.
+    /// Number of frames that were encoded.
     pub encoded: u64,
-    /// Pictures that a newer one replaced before they were encoded.
+    /// Number of frames that a newer one replaced before they were encoded.
     pub replaced: u64,
-    /// Packets that a receiver did not get because it was too far behind.
+    /// Number of packets that a receiver did not get because it was too far behind.
     pub held_back: u64,
 }
 
@@ -88,7 +89,7 @@ impl Fanout {
         self.consumers.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a receiver, which starts at the next picture.
+    /// Adds a receiver, which starts at the next keyframe.
     pub fn add(&self, source: AppSrc) -> u64 {
         let id = self.next_id.fetch_add(1, Ordering::Relaxed);
         let mut consumers = self.lock();
@@ -104,24 +105,24 @@ impl Fanout {
         self.count.store(consumers.len(), Ordering::Release);
     }
 
-    /// Makes a receiver start again at a key frame, which it asked for after a loss.
+    /// Makes a receiver restart at a keyframe, which it requested after a loss.
     pub fn ask_key(&self, id: u64) {
         for consumer in self.lock().iter_mut().filter(|consumer| consumer.id == id) {
             consumer.needs_key = true;
         }
     }
 
-    /// Whether anybody receives.
+    /// Whether there is any receiver.
     pub fn has_consumers(&self) -> bool {
         self.count.load(Ordering::Acquire) > 0
     }
 
-    /// Whether a receiver waits for a key frame and could take it.
+    /// Whether a receiver waits for a keyframe and could take it.
     pub fn wants_key(&self) -> bool {
         self.lock().iter().any(|consumer| consumer.needs_key && consumer.source.current_level_buffers() < MAX_WAITING)
     }
 
-    /// Hands a packet to all who can take it.
+    /// Sends a packet to all receivers that can take it.
     pub fn send(&self, caps: &Caps, packet: &Packet) {
         for consumer in self.lock().iter_mut() {
             let is_behind = consumer.source.current_level_buffers() >= MAX_WAITING;
@@ -144,7 +145,7 @@ impl Fanout {
         }
     }
 
-    /// Tells all receivers that the stream ends.
+    /// Signals the end of the stream to all receivers.
     pub fn end(&self) {
         for consumer in self.lock().drain(..) {
             // A receiver that is leaving needs no end.
@@ -153,17 +154,17 @@ impl Fanout {
         self.count.store(0, Ordering::Release);
     }
 
-    /// Counts an encoded picture.
+    /// Counts an encoded frame.
     pub fn count_encoded(&self) {
         self.encoded.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Counts a picture that was replaced by a newer one.
+    /// Counts a frame that was replaced by a newer one.
     pub fn count_replaced(&self) {
         self.replaced.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// What happened so far.
+    /// Counts since the start.
     pub fn counts(&self) -> Counts {
         Counts {
             consumers: self.count.load(Ordering::Acquire),

@@ -1,4 +1,4 @@
-//! Sends a stream to a server or an address, again and again until it is taken.
+//! Sends a stream to a server or an address, and retries until it is accepted.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -13,55 +13,55 @@ use panoscope_media::{MediaError, make};
 
 use super::fanout::{Fanout, Payload, SOURCE};
 
-/// Rest before the first new attempt; it doubles up to the longest.
+/// Pause before the first retry; it doubles up to [`MAX_REST`].
 const FIRST_REST: Duration = Duration::from_millis(500);
-/// Longest rest between attempts.
+/// Maximum pause between retries.
 const MAX_REST: Duration = Duration::from_secs(8);
-/// An attempt that lasted so long has worked: the next rest is a short one.
+/// An attempt that lasted this long has worked: the next pause is short again.
 const WORKED_AFTER: Duration = Duration::from_secs(5);
-/// How often a running attempt is looked at.
+/// Interval at which a running attempt is checked.
 const LOOK_EVERY: ClockTime = ClockTime::from_mseconds(200);
 
-/// Where a stream is sent.
+/// Destination of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// A server that takes recordings.
+    /// Address of a server that accepts recordings.
     Rtsp(String),
     /// RTP packets to a host and port.
     Udp {
-        /// Name or address.
+        /// Host name or address.
         host: String,
         /// UDP port.
         port: u16,
     },
 }
 
-/// What is wrong with the address of a [`Target`]; `shown` is the address without its password.
+/// Why the address of a [`Target`] is invalid; `shown` is the address without its password.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum TargetError {
-    /// It would end the text of a pipeline.
-    #[error("`{shown}` is no address: it has a space or a quote")]
+    /// A quote or a space would end the text of a pipeline.
+    #[error("`{shown}` is not a valid address: it contains a space or a quote")]
     Quoted { shown: String },
     /// UDP without `:PORT`.
     #[error("`{shown}` has no port")]
     NoPort { shown: String },
-    /// Its port is 0, too large or not a number.
+    /// The port is 0, too large or not a number.
     #[error("`{shown}` has no port from 1 to 65535")]
     BadPort { shown: String },
     /// UDP without a host.
     #[error("`{shown}` has no host")]
     NoHost { shown: String },
     /// Neither RTSP nor UDP.
-    #[error("`{shown}` is no address that a stream can be sent to")]
+    #[error("`{shown}` is not an address that a stream can be sent to")]
     Unknown { shown: String },
 }
 
 impl Target {
-    /// Reads an address.
+    /// Parses an address.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The address is invalid.
     pub fn parse(text: &str) -> Result<Self, TargetError> {
         let shown = redact(text).into_owned();
         if text.chars().any(|c| c.is_whitespace() || "\"'!\\".contains(c)) {
@@ -99,7 +99,7 @@ impl Target {
         }
     }
 
-    /// Sets where the sink sends; the secrets of an address are read here.
+    /// Sets the sink's destination. The secrets of an address are read here.
     fn configure(&self, sink: &gstreamer::Element) -> Result<(), SecretError> {
         match self {
             Self::Rtsp(url) => sink.set_property("location", &*resolve(url)?),
@@ -121,7 +121,7 @@ impl std::fmt::Display for Target {
     }
 }
 
-/// Sends until it is dropped.
+/// Sends a stream until it is dropped.
 pub struct Push {
     error: Arc<Mutex<Option<String>>>,
     /// Dropped to stop the thread.
@@ -144,7 +144,7 @@ impl Push {
         Ok(Self { error, stop: Some(stop), thread: Some(thread) })
     }
 
-    /// Why the stream is not sent now.
+    /// Why the stream is not being sent; `None` while it is.
     pub fn error(&self) -> Option<String> {
         self.error.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -180,7 +180,7 @@ fn keep_sending(
         }
         let rest_s = rest.as_secs_f64();
         set(Some(format!(
-            "cannot send the stream to {target}: {}; trying again in {rest_s} s",
+            "cannot send the stream to {target}: {}; retrying in {rest_s} s",
             redact(&reason.to_string())
         )));
         if stopped.recv_timeout(rest) != Err(RecvTimeoutError::Timeout) {
@@ -190,7 +190,7 @@ fn keep_sending(
     }
 }
 
-/// Sends until it fails, or, with `Ok`, until it is stopped.
+/// Sends until it fails, or returns `Ok` when it is stopped.
 fn send(
     target: &Target,
     payload: Payload,
@@ -200,7 +200,8 @@ fn send(
 ) -> Result<(), MediaError> {
     let failed = |reason: String| MediaError::Encoder { encoder: target.element().to_owned(), reason };
     let pipeline = gstreamer::parse::launch(&target.text(payload)).map_err(|error| failed(error.to_string()))?;
-    let pipeline = pipeline.downcast::<Pipeline>().map_err(|_| failed("it makes no pipeline".to_owned()))?;
+    let pipeline =
+        pipeline.downcast::<Pipeline>().map_err(|_| failed("GStreamer cannot build the pipeline".to_owned()))?;
     let (source, sink) = (pipeline.by_name("source"), pipeline.by_name("sink"));
     let source = source.and_then(|source| source.downcast::<AppSrc>().ok());
     let (Some(source), Some(sink), Some(bus)) = (source, sink, pipeline.bus()) else {
@@ -249,9 +250,9 @@ mod tests {
             ("udp://host", "has no port"),
             ("udp://host:0", "from 1 to 65535"),
             ("udp://:5000", "has no host"),
-            ("http://host/a", "is no address"),
-            ("rtsp://", "is no address"),
-            ("rtsp://a b", "has a space"),
+            ("http://host/a", "is not an address"),
+            ("rtsp://", "is not an address"),
+            ("rtsp://a b", "contains a space"),
         ] {
             let message = Target::parse(text).unwrap_err().to_string();
             assert!(message.contains(problem) && message.contains(text), "{text}: {message}");

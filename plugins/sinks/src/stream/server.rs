@@ -15,10 +15,10 @@ use gstreamer_rtsp_server::{RTSPFilterResult, RTSPMediaFactory, RTSPMountPoints,
 use super::fanout::{Fanout, Payload, SOURCE};
 use crate::serving::{ServeError, refused};
 
-/// Clients that a server takes at the same time.
+/// Maximum number of clients of a server at a time.
 const MAX_SESSIONS: u32 = 32;
 
-/// How often sessions of clients that left without a word are looked for.
+/// Interval at which sessions of clients that left without notice are removed.
 const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
 
 struct Server {
@@ -89,7 +89,7 @@ impl Server {
         })
     }
 
-    /// The running server of an address, or a new one. Port 0 always gives a new one.
+    /// The running server of an address, or a new one. Port 0 always makes a new one.
     fn get(asked: SocketAddr) -> Result<Arc<Self>, ServeError> {
         let mut servers = SERVERS.lock().unwrap_or_else(PoisonError::into_inner);
         servers.retain(|server| server.strong_count() > 0);
@@ -120,17 +120,17 @@ impl Drop for Server {
     }
 }
 
-/// A path that is served, until it is dropped.
+/// A served path; removed when dropped.
 pub struct Mount {
     server: Arc<Server>,
     path: String,
 }
 
 impl Mount {
-    /// Serves the packets of `fanout` at `path`. Each client gets a pipeline of its own, so that a slow one holds up nobody.
+    /// Serves the packets of `fanout` at `path`. Each client gets a separate pipeline, so that a slow one delays no other.
     ///
     /// # Errors
-    /// The address cannot be listened on, or another node serves the path.
+    /// The system does not allow listening on the address, or another node serves the path.
     pub fn new(
         address: IpAddr,
         port: u16,

@@ -1,4 +1,4 @@
-//! The thread that encodes the newest picture.
+//! The thread that encodes the newest frame.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -9,13 +9,13 @@ use panoscope_media::{Encoder, EncoderSettings, Framing, MediaError, VideoCodec}
 
 use super::fanout::Fanout;
 
-/// Rate that a bit rate is divided by.
+/// Frame rate for which a bit rate is stated, Hz.
 const NOMINAL_HZ: i32 = 30;
 
 #[derive(Default)]
 struct Mailbox {
     picture: Option<(Vec<u8>, (usize, usize))>,
-    /// A buffer to fill with the next picture.
+    /// A buffer to fill with the next frame.
     spare: Vec<u8>,
     error: Option<String>,
     stop: bool,
@@ -34,13 +34,13 @@ impl Shared {
     }
 }
 
-/// Encodes pictures in a thread of its own.
+/// Encodes frames on a separate thread.
 pub struct Worker {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// The encoder stopped.
+/// Why the encoder stopped.
 #[derive(Debug, thiserror::Error)]
 #[error("the stream's encoder failed: {0}")]
 pub struct EncodeError(String);
@@ -62,12 +62,12 @@ impl Worker {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Receivers of the packets.
+    /// The receivers of the packets.
     pub fn fanout(&self) -> &Arc<Fanout> {
         &self.shared.fanout
     }
 
-    /// Takes the place of a picture that waits; answers a buffer to fill with the next one. `bgr`: rows without padding.
+    /// Replaces the waiting frame. Returns a buffer to fill with the next one. `bgr`: rows without padding.
     pub fn offer(&self, bgr: Vec<u8>, size_px: (usize, usize)) -> Vec<u8> {
         let mut mailbox = self.shared.lock();
         let waiting = mailbox.picture.replace((bgr, size_px));
@@ -83,12 +83,12 @@ impl Worker {
         spare
     }
 
-    /// Why encoding has ended.
+    /// Why encoding has stopped; `None` while it runs.
     pub fn error(&self) -> Option<EncodeError> {
         self.shared.lock().error.clone().map(EncodeError)
     }
 
-    /// Encodes the picture that waits, ends the stream and waits for the thread.
+    /// Encodes the waiting frame, ends the stream and joins the thread.
     pub fn stop(&mut self) {
         self.shared.lock().stop = true;
         self.shared.changed.notify_one();

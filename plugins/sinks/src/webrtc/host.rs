@@ -1,4 +1,4 @@
-//! Which requests a browser may make: those of a page of this server.
+//! Which requests of browsers are accepted: those of pages of this server.
 
 use hyper::header::{HOST, HeaderMap, HeaderName, ORIGIN};
 use panoscope_base::web::is_own_host;
@@ -7,10 +7,10 @@ use panoscope_base::web::is_own_host;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Foreign {
     /// `Host` is a name, which could belong to another page.
-    #[error("ask with an IP address or `localhost` as the host: a name could belong to another page")]
+    #[error("use an IP address or `localhost` as the host: a name could belong to another page")]
     Host,
-    /// A page of another origin asked.
-    #[error("only pages of this server may ask: open its own page")]
+    /// A page of another origin sent it.
+    #[error("only pages of this server may send requests: open the server's own page")]
     Origin,
 }
 
@@ -20,10 +20,10 @@ fn only<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Option<&'h str> {
     values.next().is_none().then_some(value)
 }
 
-/// Refuses requests that a page of another origin had a browser make. Programs send no `Origin`.
+/// Refuses requests that a page of another origin made a browser send. Programs send no `Origin`.
 ///
 /// # Errors
-/// Why it is refused.
+/// Why the request is refused.
 pub fn check(headers: &HeaderMap) -> Result<(), Foreign> {
     let host = only(headers, &HOST).filter(|host| is_own_host(host)).ok_or(Foreign::Host)?;
     if !headers.contains_key(ORIGIN) {

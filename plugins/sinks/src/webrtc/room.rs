@@ -1,4 +1,4 @@
-//! The viewers of a node.
+//! The viewers of one node.
 
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, Hasher};
@@ -10,14 +10,14 @@ use panoscope_media::offer::{Offer, OfferError};
 use super::viewer::{Viewer, ViewerError};
 use crate::stream::fanout::Fanout;
 
-/// Viewers of a node at the same time.
+/// Maximum number of viewers of a node at a time.
 pub const MAX_VIEWERS: usize = 8;
 
-/// Why somebody cannot join.
+/// Why a viewer cannot join.
 #[derive(Debug, thiserror::Error)]
 pub enum JoinError {
-    /// All seats are taken.
-    #[error("{MAX_VIEWERS} viewers watch already: close one of them")]
+    /// The maximum number of viewers is reached.
+    #[error("{MAX_VIEWERS} viewers are already connected: close one of them")]
     Full,
     /// The node has ended.
     #[error("the stream has ended")]
@@ -33,7 +33,7 @@ pub enum JoinError {
 #[derive(Default)]
 struct Seats {
     viewers: BTreeMap<String, Viewer>,
-    /// Seats of viewers that are being answered.
+    /// Seats reserved for viewers whose offer is being answered.
     taken: usize,
     has_ended: bool,
 }
@@ -46,14 +46,14 @@ pub struct Room {
     seats: Mutex<Seats>,
 }
 
-/// A name that cannot be guessed, so that nobody ends the connection of another.
+/// A name that cannot be guessed, so that nobody can end the connection of another viewer.
 fn secret() -> String {
     // Keyed with random numbers of the system.
     let half = || std::collections::hash_map::RandomState::new().build_hasher().finish();
     format!("{:016x}{:016x}", half(), half())
 }
 
-/// A seat that is given back when the answer fails.
+/// A reserved seat, released when answering fails.
 struct Taken<'r>(&'r Room);
 
 impl Drop for Taken<'_> {
@@ -63,7 +63,7 @@ impl Drop for Taken<'_> {
 }
 
 impl Room {
-    /// An empty room for the packets of `fanout`.
+    /// A room without viewers for the packets of `fanout`.
     pub fn new(node: &str, fanout: &Arc<Fanout>) -> Self {
         Self { node: node.to_owned(), fanout: Arc::clone(fanout), seats: Mutex::default() }
     }
@@ -72,7 +72,7 @@ impl Room {
         self.seats.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Answers the offer of a viewer that reached this machine at `local`: its name here, and the answer. Takes some 10 ms.
+    /// Answers the offer of a viewer that reached this machine at `local`. Returns the viewer's name and the answer. Takes about 10 ms.
     ///
     /// # Errors
     /// All seats are taken, or the offer cannot be answered.
@@ -102,7 +102,7 @@ impl Room {
         }
     }
 
-    /// Ends the connection of a viewer; whether there was one of this name.
+    /// Ends the connection of a viewer. Returns whether it existed.
     pub fn leave(&self, name: &str) -> bool {
         let viewer = self.seats().viewers.remove(name);
         viewer.is_some()
@@ -115,7 +115,7 @@ impl Room {
         drop(gone);
     }
 
-    /// Ends all connections, and takes no more.
+    /// Ends all connections and accepts no more.
     pub fn end(&self) {
         let mut seats = self.seats();
         seats.has_ended = true;

@@ -1,7 +1,7 @@
 //! WHEP over HTTP: one server per address and port of the process, with a path per node.
 //!
-//! `POST /PATH` takes an SDP offer and answers it, `DELETE` of the `Location` ends the connection, `GET /PATH` is a page that shows the stream.
-//! Source: draft-ietf-wish-whep.
+//! `POST /PATH` accepts an SDP offer and returns the answer, `DELETE` of the `Location` ends the connection, `GET /PATH` is a page that shows the
+//! stream. Source: draft-ietf-wish-whep.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr, TcpListener};
@@ -23,19 +23,19 @@ use super::host;
 use super::room::{JoinError, Room};
 use crate::serving::{ServeError, refused};
 
-/// A request that takes longer is given up, so that a slow client holds nothing for long.
+/// Time limit of a request, so that a slow client does not hold a connection.
 const MAX_REQUEST: Duration = Duration::from_secs(10);
-/// Requests at the same time; others wait.
+/// Maximum number of requests at a time; others wait.
 const MAX_REQUESTS: usize = 32;
-/// Longest head of a request, bytes.
+/// Maximum length of a request's head, bytes.
 const MAX_HEAD_BYTES: usize = 16 << 10;
-/// How often viewers that have left are looked for.
+/// Interval at which viewers that have left are removed.
 const CLEAN_UP_EVERY: Duration = Duration::from_millis(500);
-/// How long requests may take to end with the server.
+/// Time limit for running requests when the server ends.
 const MAX_END: Duration = Duration::from_secs(1);
 
 const PAGE: &str = include_str!("page.html");
-/// The page loads nothing from elsewhere, and no other page may show it in a frame.
+/// Content security policy: the page loads nothing from elsewhere, and no other page may embed it.
 const POLICY: &str = "default-src 'none'; connect-src 'self'; media-src 'self' blob: mediastream:; script-src 'unsafe-inline'; style-src 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
 
 const TEXT: &str = "text/plain; charset=utf-8";
@@ -77,7 +77,7 @@ impl Server {
         Ok(Self { bound, rooms, runtime: Some(runtime) })
     }
 
-    /// The running server of an address, or a new one. Port 0 always gives a new one.
+    /// The running server of an address, or a new one. Port 0 always makes a new one.
     fn get(asked: SocketAddr) -> Result<Arc<Self>, ServeError> {
         let mut servers = SERVERS.lock().unwrap_or_else(PoisonError::into_inner);
         servers.retain(|server| server.strong_count() > 0);
@@ -98,7 +98,7 @@ impl Drop for Server {
     }
 }
 
-/// A path that is served, until it is dropped.
+/// A served path; removed when dropped.
 pub struct Mount {
     server: Arc<Server>,
     path: String,
@@ -109,7 +109,7 @@ impl Mount {
     /// Serves a room at `path`.
     ///
     /// # Errors
-    /// The address cannot be listened on, or another node serves the path.
+    /// The system does not allow listening on the address, or another node serves the path.
     pub fn new(address: IpAddr, port: u16, path: &str, room: Room) -> Result<Self, ServeError> {
         let server = Server::get(SocketAddr::new(address, port))?;
         let path = format!("/{}", path.trim_matches('/'));
@@ -191,7 +191,7 @@ fn refuse(status: StatusCode, words: &dyn std::fmt::Display) -> Answer {
 }
 
 fn not_allowed(allowed: &'static str) -> Answer {
-    let mut answer = refuse(StatusCode::METHOD_NOT_ALLOWED, &format_args!("this address answers {allowed}"));
+    let mut answer = refuse(StatusCode::METHOD_NOT_ALLOWED, &format_args!("this address accepts {allowed}"));
     answer.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
     answer
 }
@@ -237,7 +237,7 @@ async fn route(rooms: &Rooms, local: IpAddr, request: Request<Incoming>) -> Answ
         };
     }
     let paths = lock(rooms).keys().cloned().collect::<Vec<_>>().join(", ");
-    refuse(StatusCode::NOT_FOUND, &format_args!("nothing is served here; there is {paths}"))
+    refuse(StatusCode::NOT_FOUND, &format_args!("nothing is served at this path; available: {paths}"))
 }
 
 fn is_sdp(headers: &HeaderMap) -> bool {
@@ -253,7 +253,7 @@ async fn join(room: Arc<Room>, path: &str, local: IpAddr, request: Request<Incom
     let body = match Limited::new(request.into_body(), MAX_OFFER_BYTES).collect().await {
         Ok(body) => body.to_bytes(),
         Err(error) if error.is::<http_body_util::LengthLimitError>() => {
-            let words = format_args!("an offer has at most {MAX_OFFER_BYTES} bytes");
+            let words = format_args!("the offer exceeds the limit of {MAX_OFFER_BYTES} bytes");
             return refuse(StatusCode::PAYLOAD_TOO_LARGE, &words);
         }
         Err(error) => return refuse(StatusCode::BAD_REQUEST, &error),

@@ -1,4 +1,4 @@
-//! One viewer: a pipeline that sends it the packets of the encoder.
+//! One viewer: a pipeline that sends it the encoder's packets.
 
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,41 +19,37 @@ use panoscope_media::{MediaError, make};
 
 use crate::stream::fanout::{Fanout, SOURCE};
 
-/// Elements of GStreamer that a viewer needs.
+/// GStreamer elements that a viewer needs.
 const ELEMENTS: &[&str] =
     &["appsrc", "rtph264pay", "rtpbin", "webrtcbin", "nicesrc", "nicesink", "dtlssrtpenc", "dtlssrtpdec", "srtpenc"];
-/// Longest wait for one step of `webrtcbin`.
+/// Time limit of one step of `webrtcbin`.
 const STEP: Duration = Duration::from_secs(5);
 /// A viewer that has not connected within this time has left.
 const MAX_CONNECTING: Duration = Duration::from_secs(15);
-/// A viewer that has sent nothing for this time has left: browsers report every second or so, from the first picture on.
+/// A viewer that has sent nothing for this time has left. Browsers send a report about every second after the first frame.
 const MAX_SILENCE: Duration = Duration::from_secs(10);
-/// Shortest time between key frames that a viewer may ask for, ms.
+/// Minimum time between keyframes that a viewer may request, ms.
 const KEY_EVERY_MS: u64 = 300;
 
 /// Why a viewer cannot be served.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum ViewerError {
-    /// GStreamer refuses.
+    /// GStreamer refuses an element or a pipeline.
     #[error(transparent)]
     Media(#[from] MediaError),
-    /// `webrtcbin` refuses a step of the negotiation, or takes too long.
+    /// `webrtcbin` refuses a step of the negotiation, or exceeds its time limit.
     #[error("GStreamer's webrtcbin failed to {step}: {reason}")]
-    Step {
-        /// What it was to do.
-        step: &'static str,
-        /// GStreamer's words.
-        reason: String,
-    },
-    /// The answer has another form than the offer.
+    Step { step: &'static str, reason: String },
+    /// The answer does not contain the offered video.
     #[error("GStreamer's webrtcbin does not send the video that was offered")]
     Answer,
 }
 
-/// Makes each element once.
+/// Creates each element once.
 ///
 /// # Errors
-/// One is missing: the error names the package to install.
+/// An element is missing; the error names the package to install.
 pub fn check() -> Result<(), MediaError> {
     ELEMENTS.iter().try_for_each(|name| make(name).map(drop))
 }
@@ -61,22 +57,22 @@ pub fn check() -> Result<(), MediaError> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Connecting,
-    /// With its number among the receivers of packets.
+    /// Connected, with its number among the receivers of packets.
     Connected(u64),
     Gone,
 }
 
-/// What callbacks of GStreamer write.
+/// State that GStreamer's callbacks write.
 struct Link {
     begin: Instant,
     phase: Mutex<Phase>,
     fanout: Arc<Fanout>,
     source: AppSrc,
-    /// Since `begin`, of the last packet that came from the viewer.
+    /// Time of the last packet from the viewer, ms since `begin`.
     heard_ms: AtomicU64,
-    /// Since `begin`, of the first packet that was sent to it; 0 before.
+    /// Time of the first packet sent to the viewer, ms since `begin`; 0 before.
     sent_ms: AtomicU64,
-    /// Since `begin`, of the last key frame that it asked for.
+    /// Time of the last keyframe request, ms since `begin`.
     key_asked_ms: AtomicU64,
 }
 
@@ -99,14 +95,14 @@ impl Link {
         }
     }
 
-    /// How long it has been silent, although it had something to report.
+    /// Time for which it has been silent although it had something to report.
     fn silence(&self) -> Duration {
         let (heard, sent) = (self.heard_ms.load(Ordering::Relaxed), self.sent_ms.load(Ordering::Relaxed));
         let ms = if sent == 0 { 0 } else { self.now_ms().saturating_sub(heard.max(sent)) };
         Duration::from_millis(ms)
     }
 
-    /// Packets flow from the moment when somebody receives them, so that none is old.
+    /// Starts the flow of packets at the moment when the viewer can receive them, so that none is old.
     fn connected(&self) {
         let mut phase = self.phase();
         if *phase == Phase::Connecting {
@@ -133,7 +129,7 @@ impl Link {
     }
 }
 
-/// Sends packets until it is dropped. Dropping waits for threads of the pipeline, so it must not happen in one of them.
+/// Sends packets until it is dropped. Dropping waits for threads of the pipeline, so it must not happen on one of them.
 pub struct Viewer {
     pipeline: Pipeline,
     link: Arc<Link>,
@@ -147,7 +143,7 @@ impl Drop for Viewer {
     }
 }
 
-/// Has `webrtcbin` do a step and waits for its reply.
+/// Starts a step of `webrtcbin` and waits for its reply.
 fn step<T: Send + 'static>(
     name: &'static str,
     peer: &Element,
@@ -174,10 +170,11 @@ fn step<T: Send + 'static>(
 }
 
 impl Viewer {
-    /// Negotiates with a viewer that reached this machine at `local`, and answers its offer. It gets packets of `fanout` once it has connected.
+    /// Negotiates with a viewer that reached this machine at `local`, and answers its offer. The viewer gets packets of `fanout` once it has
+    /// connected.
     ///
     /// # Errors
-    /// GStreamer refuses the offer, or takes too long.
+    /// GStreamer refuses the offer, or exceeds its time limit.
     pub fn connect(offer: &Offer, local: IpAddr, fanout: &Arc<Fanout>) -> Result<(Self, String), ViewerError> {
         let payload_type = offer.format.payload_type;
         let text = format!(
@@ -190,7 +187,9 @@ impl Viewer {
         let pipeline = pipeline.downcast::<Pipeline>().map_err(|_| refused("no pipeline".to_owned()))?;
         let source = pipeline.by_name("source").and_then(|source| source.downcast::<AppSrc>().ok());
         let peer = pipeline.by_name("peer");
-        let (Some(source), Some(peer)) = (source, peer) else { return Err(refused("an element is lost".to_owned())) };
+        let (Some(source), Some(peer)) = (source, peer) else {
+            return Err(refused("an element of the pipeline is missing".to_owned()));
+        };
         let link = Arc::new(Link {
             begin: Instant::now(),
             phase: Mutex::new(Phase::Connecting),
@@ -208,7 +207,7 @@ impl Viewer {
         Ok((viewer, answer))
     }
 
-    /// Follows what the viewer does.
+    /// Connects the callbacks that follow the viewer's state.
     fn listen(&self, peer: &Element) {
         let link = Arc::downgrade(&self.link);
         peer.connect_notify(Some("connection-state"), move |peer, _| {
@@ -237,7 +236,7 @@ impl Viewer {
         }
     }
 
-    /// Whether it has left: it said so, never connected, or is silent.
+    /// Whether it has left: it closed the connection, never connected, or is silent.
     pub fn has_left(&self) -> bool {
         let has_failed = self.pipeline.bus().is_some_and(|bus| {
             // Other messages are taken off as well, so that they do not pile up.
@@ -271,7 +270,7 @@ fn on_probe(
     });
 }
 
-/// Connects by UDP at one address of this machine, which the viewer is known to reach, and asks no server for others.
+/// Restricts the connection to UDP at one address of this machine, which the viewer is known to reach. No server is asked for other addresses.
 fn only_at(peer: &Element, local: IpAddr) -> Result<(), ViewerError> {
     let agent = peer.property::<gstreamer::Object>("ice-agent");
     if !agent.emit_by_name::<bool>("add-local-ip-address", &[&local.to_string()]) {

@@ -1,12 +1,12 @@
-//! How videos are compressed, and which file holds what.
+//! Compression of videos, and which container holds which codec.
 
 use panoscope_media::{Container, Framing, RateControl, VideoCodec};
 use panoscope_node::Choice;
 
-/// How a video is compressed.
+/// Compression of a video.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
-    /// Every picture is a JPEG: fast, and each plays without the others.
+    /// Every frame is a JPEG: fast, and each frame decodes independently.
     Mjpg,
     /// H.264: small files that play everywhere.
     H264,
@@ -20,15 +20,15 @@ pub enum Codec {
     Ffv1,
 }
 
-/// Endings of video files.
+/// Extensions of video files.
 pub const ENDINGS: &str = "mkv, avi, mp4, mov, webm";
 
 /// Kind of a video file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
-    /// Matroska, or WebM, its subset: plays to the last whole picture wherever it is cut off.
+    /// Matroska, or WebM, its subset: plays to the last complete frame wherever it is truncated.
     Matroska {
-        /// The subset.
+        /// Whether it is WebM.
         is_webm: bool,
     },
     /// A container that a crash leaves unplayable.
@@ -62,14 +62,14 @@ impl FileKind {
         if self == Self::Indexed(Container::Avi) { Framing::StartCodes } else { Framing::Lengths }
     }
 
-    /// Whether all its pictures are shown for the same time.
+    /// Whether all frames are shown for the same time.
     pub fn has_constant_rate(self) -> bool {
         self == Self::Indexed(Container::Avi)
     }
 }
 
 impl Codec {
-    /// The encoder's form.
+    /// Settings of the encoder for these qualities.
     pub fn with(self, quality_pct: u8, crf: u8) -> VideoCodec {
         match self {
             Self::Mjpg => VideoCodec::Mjpeg { quality_pct },

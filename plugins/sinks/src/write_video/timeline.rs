@@ -1,20 +1,20 @@
-//! When each picture of a video is shown.
+//! Computes when each frame of a video is shown.
 
-/// A picture that comes so much later than the one before is shown for no longer than that, in files of a constant rate.
+/// In files of a constant rate, a frame is repeated for at most this long when the next one comes later.
 const MAX_REPEAT_MS: u64 = 10_000;
 
-/// File times out of the times at which pictures were taken.
+/// Converts capture times to times in the file.
 #[derive(Debug, Default)]
 pub struct Timeline {
-    /// Time of a picture in ns and its time in the file in ms: later ones are placed from there.
+    /// Capture time of a frame (ns) and its time in the file (ms); later frames are placed relative to it.
     base: Option<(i64, u64)>,
     last: Option<(i64, u64)>,
     step_ms: u64,
 }
 
 impl Timeline {
-    /// When the next picture, taken at `at_ns`, is shown, in ms from the first one: later than the one before. A source that restarts continues
-    /// one step after its last picture.
+    /// When the next frame, captured at `at_ns`, is shown, in ms from the first one: always later than the previous one. A source that restarts
+    /// continues one step after its last frame.
     pub fn next_ms(&mut self, at_ns: i64) -> u64 {
         let time_ms = self.timed_ms(at_ns);
         let time_ms = self.last.map_or(time_ms, |(_, last_ms)| time_ms.max(last_ms + 1));
@@ -42,12 +42,12 @@ fn ms(ns: i64) -> u64 {
     (ns.max(0) as u64 + 500_000) / 1_000_000
 }
 
-/// How often pictures are written into a file of a constant rate, so that each is shown for as long as it was the newest.
+/// How often frames are written into a file of a constant rate, so that each is shown for as long as it was the newest.
 #[derive(Debug)]
 pub struct Pacing {
     rate_hz: f64,
     timeline: Timeline,
-    /// Frames in the file, and where they should end by the pictures' times.
+    /// Number of frames in the file, and the number that the capture times ask for.
     written: u64,
     skipped_ms: u64,
     last_ms: u64,
@@ -59,7 +59,7 @@ impl Pacing {
         Self { rate_hz, timeline: Timeline::default(), written: 0, skipped_ms: 0, last_ms: 0 }
     }
 
-    /// How often the picture before is to be repeated before the one that was taken at `at_ns` is written.
+    /// How often the previous frame must be repeated before the one that was captured at `at_ns` is written.
     pub fn repeats(&mut self, at_ns: i64) -> u64 {
         let time_ms = self.timeline.next_ms(at_ns);
         self.skipped_ms += (time_ms - self.last_ms).saturating_sub(MAX_REPEAT_MS);
@@ -70,7 +70,7 @@ impl Pacing {
         repeats
     }
 
-    /// How far the file has fallen behind the pictures because they come faster than its rate, in ms.
+    /// How far the file lags because frames come faster than its rate, ms.
     pub fn behind_ms(&self) -> f64 {
         let ends_ms = self.written.saturating_sub(1) as f64 * 1000.0 / self.rate_hz;
         ends_ms - (self.last_ms - self.skipped_ms) as f64

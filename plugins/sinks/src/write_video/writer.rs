@@ -1,4 +1,4 @@
-//! One video file: pictures in, an encoder, a container.
+//! One video file: frames in, an encoder, a container.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -14,51 +14,51 @@ use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::{Muxer, Track};
 use crate::target::{SinkError, sync};
 
-/// Frame rate where pictures have their own times or there is only one.
+/// Frame rate if frames have their own times or there is only one.
 const FALLBACK_FPS: f64 = 30.0;
 
-/// Distance of key frames: a damaged picture spoils no more than so many.
+/// Distance of keyframes: a damaged frame spoils at most this many.
 const KEY_INTERVAL: u32 = 60;
 
-/// What a video is written with.
+/// How a video is written.
 #[derive(Clone, Debug)]
 pub struct VideoSettings {
-    /// File asked for.
+    /// The requested file.
     pub path: PathBuf,
     /// Kind of the file.
     pub kind: FileKind,
     /// Compression.
     pub codec: Codec,
-    /// Constant rate of the file in Hz; 0 gives each picture its own time.
+    /// Constant rate of the file in Hz; 0 gives each frame its own time.
     pub fps: f64,
     /// Constant rate factor of H.264 and HEVC.
     pub crf: u8,
 }
 
-/// A picture to be written.
+/// A frame to write.
 pub struct Picture<'a> {
     /// Blue, green, red; rows without padding.
     pub bgr: &'a [u8],
-    /// Columns and rows in px. The first picture gives the size of the video; others are fitted into it with black borders.
+    /// Columns and rows in px. The first frame sets the size of the video; others are fitted into it with black borders.
     pub size_px: (usize, usize),
-    /// Its time, ns.
+    /// Its capture time, ns.
     pub at_ns: i64,
     /// Quality of JPEG, MPEG-4 and VP8, %.
     pub quality_pct: u8,
 }
 
-/// When the pictures of a file are shown.
+/// When the frames of a file are shown.
 enum Pace {
     /// Each at its own time.
     Timed(Timeline),
-    /// At a constant rate: pictures are repeated where they lie farther apart.
+    /// At a constant rate: frames are repeated if they are further apart.
     Repeated {
         pacing: Pacing,
-        /// The newest picture, to be repeated.
+        /// The newest frame, to be repeated.
         last: Vec<u8>,
         rate: FrameCount,
     },
-    /// At a constant rate: pictures are counted.
+    /// At a constant rate: frames are counted.
     Counted(FrameCount),
 }
 
@@ -76,7 +76,7 @@ impl FrameCount {
     }
 }
 
-/// Where packets go, once the first one is there.
+/// Destination of packets, once the first one exists.
 enum Output {
     None,
     Matroska(Box<Muxer<File>>),
@@ -85,22 +85,22 @@ enum Output {
 
 struct Video {
     encoder: Encoder,
-    /// Size of the first picture, px.
+    /// Size of the first frame, px.
     size_px: (usize, usize),
     pace: Pace,
     output: Output,
 }
 
 enum State {
-    /// No picture has arrived.
+    /// No frame has arrived.
     New,
-    /// The first picture waits for the second one, whose time gives the frame rate.
+    /// The first frame waits for the second one, whose time gives the frame rate.
     First { bgr: Vec<u8>, size_px: (usize, usize), at_ns: i64, quality_pct: u8 },
     /// Boxed, because the other states are small.
     Open(Box<Video>),
 }
 
-/// Writes one video file. A picture that was accepted is with the system, in a Matroska file.
+/// Writes one video file. In a Matroska file, an accepted frame has been passed to the system.
 pub struct VideoWriter {
     settings: VideoSettings,
     /// Path of the newest part.
@@ -115,7 +115,7 @@ fn failed(path: &Path, error: MediaError) -> SinkError {
     }
 }
 
-/// Fits a picture of `from` columns and rows into `to` with its proportions kept and black borders.
+/// Fits an image of `from` columns and rows into `to`, with its proportions kept and black borders.
 fn letterbox(bgr: &[u8], from: (usize, usize), to: (usize, usize)) -> Option<Vec<u8>> {
     let scale = (to.0 as f64 / from.0 as f64).min(to.1 as f64 / from.1 as f64);
     let width = ((from.0 as f64 * scale).round() as usize).clamp(1, to.0);
@@ -132,7 +132,7 @@ fn letterbox(bgr: &[u8], from: (usize, usize), to: (usize, usize)) -> Option<Vec
     Some(out)
 }
 
-/// A rate as a fraction that is exact for whole rates and for those of NTSC.
+/// A rate as a fraction that is exact for integer rates and for those of NTSC.
 fn fraction(rate_hz: f64) -> Fraction {
     let ntsc = (rate_hz * 1.001).round();
     if (ntsc * 1000.0 / 1001.0 - rate_hz).abs() < 1e-4 && (rate_hz - rate_hz.round()).abs() > 1e-6 {
@@ -142,15 +142,15 @@ fn fraction(rate_hz: f64) -> Fraction {
 }
 
 impl VideoWriter {
-    /// Nothing is created before the first picture.
+    /// Creates nothing before the first frame.
     pub fn new(settings: VideoSettings) -> Self {
         Self { path: settings.path.clone(), settings, state: State::New }
     }
 
-    /// Appends a picture. Calls `begin` before it creates a file, which returns the path to create.
+    /// Appends a frame. Before it creates a file it calls `begin`, which returns the path to create.
     ///
     /// # Errors
-    /// Of the encoder and of the file, which is complete then and ends with the picture before; the next picture begins another one.
+    /// Of the encoder and of the file. The file is then complete and ends with the previous frame; the next frame starts another file.
     pub fn push(
         &mut self,
         picture: &Picture<'_>,
@@ -189,7 +189,7 @@ impl VideoWriter {
         video.append(&self.settings, &self.path, picture)
     }
 
-    /// Opens a file of a constant rate and writes the picture that was held back for it.
+    /// Opens a file of a constant rate and writes the frame that was held back for it.
     fn open_paced(&mut self, rate_hz: f64) -> Result<(), SinkError> {
         let State::First { bgr, size_px, at_ns, quality_pct } = std::mem::replace(&mut self.state, State::New) else {
             return Ok(());
@@ -218,7 +218,7 @@ impl VideoWriter {
         Ok(())
     }
 
-    /// How far the video has fallen behind because pictures come faster than the rate of its file, in ms.
+    /// How far the video lags because frames come faster than the rate of its file, ms.
     pub fn behind_ms(&self) -> f64 {
         match &self.state {
             State::Open(video) => match &video.pace {
@@ -229,12 +229,12 @@ impl VideoWriter {
         }
     }
 
-    /// Where the video is written.
+    /// Path of the video.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Completes the file and hands it to the disk.
+    /// Completes the file and flushes it to the disk.
     ///
     /// # Errors
     /// Of the encoder and of the file.
@@ -347,7 +347,7 @@ impl Output {
     }
 }
 
-/// What a decoder needs before the first packet.
+/// Initialisation data of the decoder.
 fn codec_private(caps: &Caps) -> Option<Buffer> {
     caps.structure(0)?.get::<Buffer>("codec_data").ok()
 }

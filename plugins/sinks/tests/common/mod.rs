@@ -1,4 +1,4 @@
-//! Pictures that carry their number, and a reader by GStreamer.
+//! Images that carry their number, and a reader by GStreamer.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 use gstreamer::prelude::*;
 use gstreamer::{ClockTime, Pipeline, State};
 use gstreamer_app::AppSink;
+use panoscope_node::Node;
+use panoscope_node::harness::{Harness, Setup};
 
-/// Bits of a number that are drawn into a picture.
+/// Number of bits that are drawn into an image.
 const BITS: usize = 12;
 
-/// A folder of its own, removed at the end.
+/// A separate folder, removed at the end.
 pub struct Folder(pub PathBuf);
 
 impl Folder {
@@ -20,6 +22,18 @@ impl Folder {
         fs::create_dir_all(&path).unwrap();
         Self(path)
     }
+
+    pub fn open<N: Node>(&self, params: &str) -> Harness<N> {
+        Harness::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&self.0)).unwrap()
+    }
+
+    /// Sorted names of its files.
+    pub fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(&self.0).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
 }
 
 impl Drop for Folder {
@@ -28,7 +42,7 @@ impl Drop for Folder {
     }
 }
 
-/// A BGR picture with `number` as black and white columns on the upper half, and a pattern below that moves with it.
+/// A BGR image with `number` as black and white columns in the upper half, and a pattern below that moves with it.
 pub fn numbered((width, height): (usize, usize), number: u64) -> Vec<u8> {
     (0..width * height)
         .flat_map(|i| {
@@ -43,7 +57,7 @@ pub fn numbered((width, height): (usize, usize), number: u64) -> Vec<u8> {
         .collect()
 }
 
-/// The number in a picture, if every column is clearly black or white.
+/// The number in an image, if every column is clearly black or white.
 pub fn number_in(bgr: &[u8], (width, height): (usize, usize)) -> Option<u64> {
     let mut number = 0;
     for bit in 0..BITS {
@@ -57,7 +71,7 @@ pub fn number_in(bgr: &[u8], (width, height): (usize, usize)) -> Option<u64> {
     Some(number)
 }
 
-/// A decoded picture.
+/// A decoded frame.
 pub struct Decoded {
     pub bgr: Vec<u8>,
     pub size_px: (usize, usize),
@@ -80,7 +94,7 @@ impl Decoded {
     }
 }
 
-/// Every picture of a file, decoded by GStreamer.
+/// Every frame of a file, decoded by GStreamer.
 pub fn decode(path: &Path) -> Vec<Decoded> {
     gstreamer::init().unwrap();
     let text = "filesrc name=file ! decodebin ! videoconvert ! video/x-raw,format=BGR ! appsink name=sink sync=false";

@@ -15,7 +15,7 @@ use crate::labels;
 use crate::session::Tensor;
 use crate::yolo::detection;
 
-/// Finds boxes.
+/// Decodes the boxes of a network.
 pub struct Detector {
     /// Names of its outputs.
     outputs: Vec<String>,
@@ -33,8 +33,8 @@ fn own<'a>(outputs: &[String], tensors: &[Tensor<'a>]) -> Vec<Tensor<'a>> {
 }
 
 impl Detector {
-    /// Recognises the family of the outputs of the model at `path` that the table calls detections, from the answer to an input of `size` px; none
-    /// where there are none.
+    /// Recognises the family of the outputs of the model at `path` that the table names as detections, from a run on an input of `size` px; `None` if
+    /// there are none.
     pub fn new(
         path: &Path,
         table: &PortTable,
@@ -56,22 +56,22 @@ impl Detector {
         Ok(Some(Self { outputs, kind, classes, labels, candidates, items, bad: 0, left_out: 0 }))
     }
 
-    /// With names of the classes, see [`labels::table`].
+    /// Sets the names of the classes, see [`labels::table`].
     pub fn with_labels(self, path: &Path, metadata: Option<&str>, file: &Path) -> Result<Self> {
         Ok(Self { labels: labels::table(path, metadata, file, self.classes)?, ..self })
     }
 
-    /// Values of the last run that were not finite.
+    /// Number of values of the last run that were not finite.
     pub fn bad(&self) -> usize {
         self.bad
     }
 
-    /// Boxes of the last run that `max_boxes` left out.
+    /// Number of boxes of the last run that `max_boxes` left out.
     pub fn left_out(&self) -> usize {
         self.left_out
     }
 
-    /// Finds the boxes of one run.
+    /// Decodes the boxes of one run.
     pub fn find(&mut self, path: &Path, tensors: &[Tensor<'_>], frame: &Frame, params: &OnnxParams) -> Result<()> {
         let own = own(&self.outputs, tensors);
         self.bad = count_bad(path, &own, self.kind.rows())?;
@@ -97,7 +97,7 @@ impl Detector {
         Ok(())
     }
 
-    /// Makes the output.
+    /// Writes the output.
     pub fn write(&self, slot: &mut Slot<'_, LabeledDetections>, image: (usize, usize)) -> Result<()> {
         slot.set_detections(&self.items, &self.labels, image)
     }

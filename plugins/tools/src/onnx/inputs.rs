@@ -1,4 +1,4 @@
-//! Images as inputs of a network, as its table says.
+//! Images as inputs of a network, as its table describes them.
 
 use std::path::Path;
 
@@ -12,9 +12,9 @@ use crate::image_input::{Element, ImageInput, Layout, Packed};
 use crate::letterbox::{Fit, Letterbox, PixelForm, Placement};
 use crate::session::{Declared, RunInput};
 
-/// Side of an input of any size that the network is tried with when it opens, px: a multiple of most networks' strides.
+/// Side of the first trial input of a network of variable size, px: a multiple of most networks' strides.
 const TRIAL_SIDE: usize = 256;
-/// What sides are filled up to a multiple of where the table does not say, px.
+/// Default multiple to which sides are padded, px.
 const DEFAULT_MULTIPLE: usize = 32;
 
 /// An input of a network that takes an image.
@@ -25,7 +25,7 @@ pub struct NetworkInput {
     pub size: (usize, usize),
     input: ImageInput,
     form: PixelForm,
-    /// What sides are filled up to, px, where the size follows the image.
+    /// Multiple to which sides are padded, px, if the size follows the image.
     multiple: Option<usize>,
     letterbox: Letterbox,
     normalization: Normalization,
@@ -43,7 +43,7 @@ fn order_name(order: Option<Order>) -> &'static str {
     }
 }
 
-/// What a rule expects, with the shapes that would do.
+/// The input that a rule expects, with valid shapes, as text.
 fn expected(rule: &InputRule, size: &str) -> String {
     let planar = |c: usize| format!("1x{c}x{size}");
     let interleaved = |c: usize| format!("1x{size}x{c}");
@@ -61,10 +61,11 @@ fn expected(rule: &InputRule, size: &str) -> String {
 }
 
 impl NetworkInput {
-    /// Reads the declaration of an input of the model at `path` by its rule.
+    /// Interprets the declaration of an input of the model at `path` by its rule.
     ///
     /// # Errors
-    /// It is not an image as the rule says, or its size is fixed where the rule has another, or open where the rule has none.
+    /// The input is not an image as the rule describes it; its size is fixed and the rule has another one; or its size is variable and the rule has
+    /// none.
     pub fn new(path: &Path, declared: &Declared, rule: &InputRule) -> Result<Self, Mismatch> {
         let wrong = |expected: String| Mismatch::Input { path: path.to_owned(), found: declared.to_string(), expected };
         let channels = rule.order.map(|order| if order == Order::Gray { 1 } else { 3 });
@@ -125,7 +126,7 @@ impl NetworkInput {
         self.input.run_input(&self.normalized, self.size, &mut self.packed)
     }
 
-    /// Checks that another view has the size of this one's.
+    /// Checks that another view has the size of this one.
     ///
     /// # Errors
     /// Both sizes.
@@ -142,8 +143,8 @@ impl NetworkInput {
     }
 }
 
-/// The values that a network takes for 0 to 255, computed in the order of its training's usual code, so that they are equal to the last bit: a network
-/// with a wide range of answers turns differences of its input in the eighth digit into ones that are seen.
+/// Normalisation of 0 to 255 to the network's values, computed in the order of the usual training code, so that the values are equal to the last bit.
+/// A network with a wide range of outputs turns differences in the eighth digit of its input into visible ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Normalization {
     range: [f32; 2],
@@ -151,7 +152,7 @@ struct Normalization {
     std: [f32; 3],
 }
 
-/// Values of a plane that one task computes.
+/// Values of a plane per task.
 const VALUES_PER_CHUNK: usize = 1 << 16;
 
 impl Normalization {
@@ -169,13 +170,13 @@ impl Normalization {
         Self { range, mean: of(&rule.mean, 0.0), std: of(&rule.std, 1.0) }
     }
 
-    /// What `value`, 0 to 255, becomes in `channel`.
+    /// Normalises `value`, 0 to 255, in `channel`.
     fn of(&self, value: f32, channel: usize) -> f32 {
         let [low, high] = self.range;
         (value / 255.0 * (high - low) + low - self.mean[channel]) / self.std[channel]
     }
 
-    /// Computes planes of `plane` values.
+    /// Normalises planes of `plane` values.
     fn apply(&self, values: &[f32], plane: usize, out: &mut Vec<f32>, pool: &dyn Parallel) {
         out.resize(values.len(), 0.0);
         let shared = SharedMut::new(out);
@@ -191,7 +192,7 @@ impl Normalization {
     }
 }
 
-/// The image as it is, 0 to 255, in the network's order of colours.
+/// Pixel form that leaves values at 0 to 255, in the network's order of colours.
 fn pixel_form(rule: &InputRule) -> PixelForm {
     PixelForm {
         rgb: rule.order != Some(Order::Bgr),

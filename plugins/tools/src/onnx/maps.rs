@@ -1,4 +1,4 @@
-//! Outputs of a network that are maps: checked against the table, carried back to the pixels of the image, in its units.
+//! Outputs of a network that are maps: checked against the table, converted to the pixels of the image and its units.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use crate::image_input::Layout;
 use crate::letterbox::Placement;
 use crate::session::{Tensor, Values};
 
-/// Rows of the image that one task makes.
+/// Rows of the image per task.
 const ROWS_PER_CHUNK: usize = 32;
 
 /// Position of a pixel among the cells of one axis.
@@ -23,7 +23,7 @@ struct Tap {
     share: f32,
 }
 
-/// A map in memory: which value belongs to a channel of a cell.
+/// Memory layout of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
     /// Number of channels.
@@ -44,29 +44,29 @@ impl Grid {
     }
 }
 
-/// Where the image lies in the network's input.
+/// Placement of the image in the network's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
     /// Width and height of the image, px.
     pub image: (usize, usize),
     /// Width and height of the input, px.
     pub input: (usize, usize),
-    /// From image to input.
+    /// Transform from image to input.
     pub placement: Placement,
 }
 
 /// An output of a network that is a map.
 pub struct MapOutput {
-    /// Its name.
+    /// Name in the model.
     pub name: String,
-    /// What the table says.
+    /// Rule of the table for this output.
     pub rule: OutputRule,
     key: Option<(Frame, Grid)>,
     columns: Vec<Tap>,
     rows: Vec<Tap>,
 }
 
-/// Channels that an output of a kind has, and its shape in messages.
+/// Numbers of channels that an output of a kind may have, and its shape in messages.
 fn channels_of(rule: &OutputRule) -> (&'static [usize], &'static str) {
     match rule.port {
         _ if rule.channel.is_some() => (&[], "1xCxHxW or 1xHxWxC"),
@@ -87,7 +87,7 @@ impl MapOutput {
     /// Finds channels, rows and columns of an output, and checks that it has usable values.
     ///
     /// # Errors
-    /// A shape that the rule cannot be applied to, or not in proportion to the input, or no finite value.
+    /// The shape does not fit the rule, is not in proportion to the input, or no value is finite.
     pub fn grid(&self, path: &Path, tensor: &Tensor<'_>, (width, height): (usize, usize)) -> Result<Grid, Mismatch> {
         let (counts, shape) = channels_of(&self.rule);
         let wrong = |about: &str| Mismatch::Output {
@@ -134,7 +134,7 @@ impl MapOutput {
         }
     }
 
-    /// Computes the position of each pixel of the image among the cells of the map, where sizes changed.
+    /// Computes the position of each pixel of the image among the cells of the map, if sizes changed.
     fn update(&mut self, frame: &Frame, grid: &Grid) {
         if self.key == Some((*frame, *grid)) {
             return;
@@ -160,8 +160,8 @@ impl MapOutput {
         }
     }
 
-    /// Writes a channel as a map of the image's size, mixed between cells: `out` has as many values as the image has pixels, and each is passed through
-    /// `finish` with its index, after scale, offset, activation and unit. `axis` is 1 for vertical motion.
+    /// Writes a channel as a map of the image's size, interpolated between cells: `out` has as many values as the image has pixels, and each is
+    /// passed through `finish` with its index, after scale, offset, activation and unit. `axis` is 1 for vertical motion.
     pub fn fill<T: Send>(
         &mut self,
         tensor: &Tensor<'_>,
@@ -196,7 +196,7 @@ impl MapOutput {
         });
     }
 
-    /// Writes 255 where the likeliest class of the nearest cell is wanted: the rule's channel, else any but class 0.
+    /// Writes 255 where the most probable class of the nearest cell is wanted: the rule's channel, or any but class 0.
     pub fn fill_classes(&mut self, tensor: &Tensor<'_>, frame: &Frame, grid: &Grid, out: &mut [u8]) {
         self.update(frame, grid);
         let wanted = self.rule.channel;
@@ -227,13 +227,13 @@ fn likeliest(channels: usize, score: impl Fn(usize) -> f32) -> i64 {
     (0..channels).fold((0, f32::NEG_INFINITY), better).0 as i64
 }
 
-/// Whether a map has the shape of the input up to one cell.
+/// Whether a map has the proportions of the input, up to one cell.
 fn is_in_proportion(grid: &Grid, (width, height): (usize, usize)) -> bool {
     let [w, h, gw, gh] = [width, height, grid.width, grid.height].map(|n| n as f64);
     gw > 0.0 && gh > 0.0 && ((gw * h / w - gh).abs() <= 1.0 || (gh * w / h - gw).abs() <= 1.0)
 }
 
-/// Positions of `count` pixels of the image among `cells` that cover `side` px of the input.
+/// Positions of `count` pixels of the image among `cells` cells that cover `side` px of the input.
 fn taps(count: usize, scale: f32, offset: f32, side: usize, cells: usize) -> Vec<Tap> {
     let last = cells.saturating_sub(1);
     let tap = |pixel: usize| {

@@ -1,4 +1,4 @@
-//! `onnx`: any network as a node. A table says which input of the network is which image and what its outputs are, see [`table`].
+//! `onnx`: any network as a node. A table says which image each input of the network takes and what its outputs are, see [`table`].
 
 mod detector;
 mod inputs;
@@ -22,29 +22,29 @@ use maps::{Frame, MapOutput};
 use mismatch::Mismatch;
 use table::{InputPort, OutputPort, PortTable, TableError};
 
-/// Inputs. Those that the table names must be connected, of one size; a tick in which one of them is empty gives nothing.
+/// Inputs. Those that the table names must be connected and of one size. A tick in which one of them is empty has empty outputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// View of a network with one, bgr8 or gray8.
+    /// Image for a network with one view, bgr8 or gray8.
     image: Option<Picture<'f>>,
     /// Left rectified view.
     left: Option<Picture<'f>>,
     /// Right rectified view of the same instant.
     right: Option<Picture<'f>>,
-    /// View of the tick before, for networks of motion: the same output as `image`, with `delay = 1`.
+    /// View of the previous tick, for networks that estimate motion: the same output as `image`, with `delay = 1`.
     previous: Option<Picture<'f>>,
 }
 
-/// Outputs. Those that the table does not name stay empty. All are of the size of `image`, or else of `left`.
+/// Outputs. Those that the table does not name stay empty. All have the size of `image`, or else of `left`.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Px of the image, positive, NaN = unknown.
+    /// Disparity, px of the image, positive, NaN = unknown.
     disparity: Slot<'f, Disparity>,
-    /// Millimetres, NaN = unknown.
+    /// Depth, mm, NaN = unknown.
     depth: Slot<'f, Depth>,
-    /// 255 where the network says so.
+    /// Mask: 255 inside.
     mask: Slot<'f, Mask>,
-    /// 0 to 1.
+    /// Confidence, 0 to 1.
     confidence: Slot<'f, Confidence>,
     /// Boxes in px of the image, highest score first, with their labels.
     detections: Slot<'f, LabeledDetections>,
@@ -52,11 +52,11 @@ pub struct Out<'f> {
     flow_x: Slot<'f, GrayF32>,
     /// Motion downwards, px of the image.
     flow_y: Slot<'f, GrayF32>,
-    /// Image that the network makes: bgr8 where it has three channels, gray8 where it has one.
+    /// Image that the network outputs: bgr8 if it has three channels, gray8 if it has one.
     image: Slot<'f, AnyFormat>,
 }
 
-/// Parameters.
+/// Parameters of `onnx`.
 #[derive(Params)]
 pub struct OnnxParams {
     /// ONNX file of the network.
@@ -66,22 +66,23 @@ pub struct OnnxParams {
     /// Empty: the file `table_file`. `panoscope describe MODEL.onnx` prints a table; the README of the plugins lists the keys.
     #[param(default = "", reopen)]
     table: String,
-    /// File with the same keys. Empty: the model's name with the extension `toml`, in its folder; a lock of the graph covers it only where it is named here.
+    /// File with the same keys. Empty: the model's name with the extension `toml`, in its folder; a lock of the graph includes it only if it is named
+    /// here.
     #[param(default = "", reopen, file)]
     table_file: PathBuf,
-    /// Value from which a pixel belongs to the mask, where the network gives one number per pixel.
+    /// Value from which a pixel belongs to the mask, if the network outputs one number per pixel.
     #[param(default = 0.5, range = -1000.0..=1000.0)]
     mask_threshold: f32,
-    /// Confidence below which pixels of disparity and depth are unknown. Takes effect where the network gives a confidence.
+    /// Confidence below which pixels of disparity and depth are unknown. Takes effect if the network outputs a confidence.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_confidence: f32,
-    /// Lowest score of a box.
+    /// Minimum score of a box.
     #[param(default = 0.3, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
     /// Overlap (intersection over union) above which the box with the lower score is dropped, within a class.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
-    /// Largest number of boxes in the output.
+    /// Maximum number of boxes in the output.
     #[param(default = 50, range = 1..=1000)]
     max_boxes: usize,
     /// File with the names of the classes, one per line. Empty: the names in the model file.
@@ -90,8 +91,8 @@ pub struct OnnxParams {
     /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
-    /// What computes the network: the processor, or an execution provider of ONNX Runtime, if its library has it and finds a device. Otherwise the
-    /// processor does, with a warning.
+    /// Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is
+    /// used, with a warning.
     #[param(default = "cpu", reopen)]
     provider: Provider,
 }
@@ -106,7 +107,7 @@ impl OnnxParams {
 pub struct Onnx {
     path: PathBuf,
     session: ModelSession,
-    /// The first has the image whose size the outputs have.
+    /// The first one has the image that sets the size of the outputs.
     inputs: Vec<NetworkInput>,
     maps: Vec<MapOutput>,
     detector: Option<Detector>,
@@ -114,7 +115,7 @@ pub struct Onnx {
     damage: Damage,
 }
 
-/// Checks that ports of the table and of the graph are the same.
+/// Checks that the table and the graph connect the same ports.
 fn check_wiring(table: &PortTable, check: &mut Validation<'_>) {
     use InputPort::{Image, Left, Previous, Right};
     for port in [Image, Left, Right, Previous] {
@@ -144,7 +145,7 @@ fn check_wiring(table: &PortTable, check: &mut Validation<'_>) {
     }
 }
 
-/// The inputs of a network as its table says, that of the first port first.
+/// The inputs of a network according to its table; that of the first port comes first.
 fn network_inputs(session: &ModelSession, table: &PortTable) -> Result<Vec<NetworkInput>, Mismatch> {
     let path = session.path();
     for (side, declared, names) in [
@@ -278,7 +279,7 @@ struct Writer<'a, 't> {
     frame: Frame,
     params: &'a OnnxParams,
     pool: &'a dyn Parallel,
-    /// Confidence of each pixel of the image; empty before it was written.
+    /// Confidence of each pixel of the image; empty until it has been written.
     confidence: &'a mut Vec<f32>,
 }
 

@@ -1,4 +1,4 @@
-//! The table that says what the inputs and outputs of a network are: in the graph (`table`) or in a file (`MODEL.toml` beside `MODEL.onnx`).
+//! The table that says what the inputs and outputs of a network are: in the graph (`table`) or in a file (`MODEL.toml` next to `MODEL.onnx`).
 //!
 //! ```toml
 //! [inputs.left]            # the network's own name
@@ -18,69 +18,52 @@ use serde::Deserialize;
 use crate::image_input::Layout;
 use crate::yolo::Layout as Family;
 
-/// Largest side of a network's image, px.
+/// Maximum side of a network's image, px.
 const MAX_SIDE: usize = 8192;
 
 /// Why a table cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum TableError {
-    /// There is none.
+    /// No table is given.
     #[error("no table says what the inputs and outputs of {model} are; write {file}, or set `table`; `panoscope describe {model}` prints one", model = model.display(), file = file.display())]
-    Missing {
-        /// The model.
-        model: PathBuf,
-        /// The file that was looked for.
-        file: PathBuf,
-    },
-    /// There are two.
+    Missing { model: PathBuf, file: PathBuf },
+    /// Two tables are given.
     #[error("`table` and `table_file` are both set; remove one")]
     Twice,
     /// The file cannot be read.
     #[error("cannot read the table {path}: {cause}", path = path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        cause: std::io::Error,
-    },
-    /// It is not a table as it must be.
+    Unreadable { path: PathBuf, cause: std::io::Error },
+    /// The table is malformed.
     #[error("{source_name}, line {line}: {message}")]
-    Malformed {
-        /// The file, or the parameter.
-        source_name: String,
-        /// Line, from 1.
-        line: usize,
-        /// What is wrong.
-        message: String,
-    },
-    /// A value that cannot be.
+    Malformed { source_name: String, line: usize, message: String },
+    /// A value is not allowed.
     #[error("{source_name}: `{key}`: {message}")]
     Value {
-        /// The file, or the parameter.
         source_name: String,
-        /// The key, as in `inputs.left.std`.
+        /// Key of the value, as in `inputs.left.std`.
         key: String,
-        /// What is wrong, and what would do.
+        /// What is wrong, and what is allowed.
         message: String,
     },
 }
 
-/// An input of the node.
+/// Image that an input of the network takes.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, PartialOrd, Ord)]
 #[serde(rename_all = "snake_case")]
 pub enum InputPort {
-    /// One view.
+    /// The only view.
     Image,
     /// Left rectified view.
     Left,
     /// Right rectified view.
     Right,
-    /// The image of the tick before.
+    /// The image of the previous tick.
     Previous,
 }
 
 impl InputPort {
-    /// Its name.
+    /// Name of the node's port.
     pub fn name(self) -> &'static str {
         match self {
             Self::Image => "image",
@@ -91,7 +74,7 @@ impl InputPort {
     }
 }
 
-/// What an output of the network is.
+/// Meaning of an output of the network.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, PartialOrd, Ord)]
 #[serde(rename_all = "snake_case")]
 pub enum OutputPort {
@@ -99,20 +82,20 @@ pub enum OutputPort {
     Disparity,
     /// Depth of the left view.
     Depth,
-    /// A mask.
+    /// Mask.
     Mask,
     /// Confidence.
     Confidence,
-    /// Boxes.
+    /// Boxes of a detector.
     Detections,
     /// Motion in the image; two maps.
     Flow,
-    /// An image.
+    /// Image.
     Image,
 }
 
 impl OutputPort {
-    /// Its name in tables.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Disparity => "disparity",
@@ -139,7 +122,7 @@ impl OutputPort {
     }
 }
 
-/// Order of the colours.
+/// Order of the colour channels.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum Order {
@@ -151,26 +134,26 @@ pub enum Order {
     Gray,
 }
 
-/// How an image becomes as large as the network's input.
+/// How an image is fitted to the network's input.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum FitRule {
-    /// Stretched to it.
+    /// Stretched to the input's size.
     #[default]
     Stretch,
-    /// Scaled in proportion, upper left corner.
+    /// Scaled in proportion, at the upper left corner.
     Letterbox,
-    /// Scaled in proportion, in the middle.
+    /// Scaled in proportion, centred.
     LetterboxCentre,
-    /// Not scaled: filled up at the right and below to the next multiple.
+    /// Not scaled: padded at the right and below to the next multiple.
     Multiple,
 }
 
-/// A function of a value, after scale and offset.
+/// Function applied to a value after scale and offset.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
-    /// The value itself.
+    /// Identity.
     #[default]
     None,
     /// 1 / (1 + e^-v).
@@ -182,7 +165,7 @@ pub enum Activation {
 }
 
 impl Activation {
-    /// The function's value.
+    /// Applies the function.
     pub fn of(self, v: f32) -> f32 {
         match self {
             Self::None => v,
@@ -199,9 +182,9 @@ impl Activation {
 pub enum Unit {
     /// Pixels of the network's input.
     Px,
-    /// Cells of the output, which may be smaller than the input.
+    /// Cells of the output, which may have fewer cells than the input has pixels.
     Cells,
-    /// Shares of the width of the network's input, of its height for vertical motion.
+    /// Share of the width of the network's input, or of its height for vertical motion.
     Share,
     /// Millimetres.
     Mm,
@@ -211,33 +194,33 @@ pub enum Unit {
     M,
 }
 
-/// An input of the network.
+/// Rule of an input of the network.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct InputRule {
     /// The node's port that it takes.
     pub port: InputPort,
-    /// Order of the colours; rgb where it is not given, gray for one channel.
+    /// Order of the colours. Default: rgb, or gray for one channel.
     pub order: Option<Order>,
-    /// What 0 and 255 become. 0 and 1 where it is not given; for bytes 0 and 255, for signed bytes -128 and 127.
+    /// Values that 0 and 255 are mapped to. Default: 0 and 1; 0 and 255 for bytes; -128 and 127 for signed bytes.
     pub range: Option<[f32; 2]>,
-    /// Subtracted after that, one number or one for each channel in the network's order.
+    /// Subtracted after that: one number, or one for each channel in the network's order.
     #[serde(default)]
     pub mean: Vec<f32>,
-    /// Divides after that.
+    /// Divides after that: one number, or one for each channel.
     #[serde(default)]
     pub std: Vec<f32>,
-    /// How the image becomes as large as the input.
+    /// How the image is fitted to the input.
     #[serde(default)]
     pub fit: FitRule,
-    /// Width and height in px, where the network takes any.
+    /// Width and height in px, if the network accepts any size.
     pub size: Option<[usize; 2]>,
-    /// What sides are a multiple of, px, with `fit = "multiple"`.
+    /// Multiple to which sides are padded, px, with `fit = "multiple"`.
     pub multiple: Option<usize>,
-    /// Gray beside the image, 0 to 255.
+    /// Gray level of the padding, 0 to 255.
     #[serde(default = "default_border")]
     pub border: f32,
-    /// Order of the axes, where the shape leaves it open.
+    /// Order of the axes, if the shape is ambiguous.
     pub axes: Option<Layout>,
 }
 
@@ -249,53 +232,53 @@ fn one() -> f32 {
     1.0
 }
 
-/// An output of the network.
+/// Rule of an output of the network.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct OutputRule {
-    /// What it is.
+    /// Meaning of the output.
     pub port: OutputPort,
     /// Multiplies each value.
     #[serde(default = "one")]
     pub scale: f32,
-    /// Added after that.
+    /// Added after the scale.
     #[serde(default)]
     pub offset: f32,
-    /// Applied after that.
+    /// Applied after the offset.
     #[serde(default)]
     pub activation: Activation,
-    /// Unit of the result; px for disparity and flow, mm for depth where it is not given.
+    /// Unit of the result. Default: px for disparity and flow, mm for depth.
     pub unit: Option<Unit>,
-    /// The channel that is taken, from 0, of an output with several.
+    /// Index of the used channel, from 0, for an output with several.
     pub channel: Option<usize>,
-    /// What black and white are in an image.
+    /// Values of black and white in an image.
     pub range: Option<[f32; 2]>,
     /// Order of the colours of an image.
     pub order: Option<Order>,
-    /// Order of the axes, where the shape leaves it open.
+    /// Order of the axes, if the shape is ambiguous.
     pub axes: Option<Layout>,
     /// Family of a detector.
     #[serde(default)]
     pub family: Family,
 }
 
-/// What the inputs and outputs of a network are, by their names.
+/// Rules of the inputs and outputs of a network, by their names.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct PortTable {
-    /// Inputs.
+    /// Inputs by name.
     pub inputs: BTreeMap<String, InputRule>,
-    /// Outputs. Those that are not in the table are not used.
+    /// Outputs by name. Those that are not in the table are not used.
     pub outputs: BTreeMap<String, OutputRule>,
 }
 
-/// Where a table stands that is not in the graph.
+/// Default path of the table of a model: its name with the extension `toml`.
 pub fn file_beside(model: &Path) -> PathBuf {
     model.with_extension("toml")
 }
 
 impl PortTable {
-    /// The table of a model: `text`, else `file`, else the file beside the model.
+    /// The table of a model: `text`, else `file`, else the file next to the model.
     ///
     /// # Errors
     /// There is none, there are two, or it cannot be used.
@@ -314,7 +297,7 @@ impl PortTable {
         }
     }
 
-    /// Reads a table; `source_name` stands in messages.
+    /// Parses a table; `source_name` appears in messages.
     ///
     /// # Errors
     /// See [`TableError`].
@@ -330,7 +313,7 @@ impl PortTable {
         }
     }
 
-    /// The first value that cannot be: its key, and what would do.
+    /// The first value that is not allowed: its key, and what is allowed.
     fn wrong(&self) -> Option<(String, String)> {
         for (part, is_empty) in [("inputs", self.inputs.is_empty()), ("outputs", self.outputs.is_empty())] {
             if is_empty {
@@ -341,7 +324,7 @@ impl PortTable {
         for (index, (name, rule)) in self.inputs.iter().enumerate() {
             let wrong = rule.wrong().or_else(|| {
                 let is_twice = ports[..index].contains(&rule.port);
-                is_twice.then(|| ("port", format!("`{}` is taken by another input", rule.port.name())))
+                is_twice.then(|| ("port", format!("`{}` is already used by another input", rule.port.name())))
             });
             if let Some((key, message)) = wrong {
                 return Some((format!("inputs.{name}.{key}"), message));
@@ -352,7 +335,7 @@ impl PortTable {
             let wrong = rule.wrong().or_else(|| {
                 // Boxes and scores of a detector may be two outputs.
                 let is_twice = rule.port != OutputPort::Detections && ports[..index].contains(&rule.port);
-                is_twice.then(|| ("port", format!("`{}` is taken by another output", rule.port.name())))
+                is_twice.then(|| ("port", format!("`{}` is already used by another output", rule.port.name())))
             });
             if let Some((key, message)) = wrong {
                 return Some((format!("outputs.{name}.{key}"), message));
@@ -361,7 +344,7 @@ impl PortTable {
         None
     }
 
-    /// Whether some output is `port`.
+    /// Whether any output is `port`.
     pub fn gives(&self, port: OutputPort) -> bool {
         self.outputs.values().any(|rule| rule.port == port)
     }
@@ -381,28 +364,28 @@ impl InputRule {
         for (key, numbers) in [("mean", &self.mean), ("std", &self.std)] {
             let fits = [0, 1, channels].contains(&numbers.len()) && numbers.iter().all(|v| v.is_finite());
             if !fits {
-                return Some((key, format!("{} numbers; 1 or {channels} were expected", numbers.len())));
+                return Some((key, format!("{} numbers; expected 1 or {channels}", numbers.len())));
             }
         }
         if self.std.iter().any(|v| *v <= 0.0) {
-            return Some(("std", "above 0 was expected".to_owned()));
+            return Some(("std", "expected a number above 0".to_owned()));
         }
         if let Some([width, height]) = self.size
             && (width == 0 || height == 0 || width.max(height) > MAX_SIDE)
         {
-            return Some(("size", format!("{width}x{height}; 1 to {MAX_SIDE} px were expected")));
+            return Some(("size", format!("{width}x{height}; expected 1 to {MAX_SIDE} px")));
         }
         if self.size.is_some() && self.fit == FitRule::Multiple {
             return Some(("size", "with `fit = \"multiple\"` the size follows the image; remove one".to_owned()));
         }
         if self.multiple.is_some_and(|multiple| !(1..=1024).contains(&multiple)) {
-            return Some(("multiple", "1 to 1024 px were expected".to_owned()));
+            return Some(("multiple", "expected 1 to 1024 px".to_owned()));
         }
         if self.multiple.is_some() && self.fit != FitRule::Multiple {
             return Some(("multiple", "takes effect with `fit = \"multiple\"`; set it".to_owned()));
         }
         if !(0.0..=255.0).contains(&self.border) {
-            return Some(("border", "0 to 255 was expected".to_owned()));
+            return Some(("border", "expected 0 to 255".to_owned()));
         }
         wrong_range(self.range)
     }
@@ -426,7 +409,7 @@ impl OutputRule {
             return Some(("unit", message));
         }
         if !self.scale.is_finite() || self.scale == 0.0 || !self.offset.is_finite() {
-            return Some(("scale", "finite numbers were expected, `scale` not 0".to_owned()));
+            return Some(("scale", "expected finite numbers, and `scale` not 0".to_owned()));
         }
         let takes = |ports: &[OutputPort]| ports.contains(&self.port);
         for (key, is_set, is_taken) in [

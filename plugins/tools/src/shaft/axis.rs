@@ -1,28 +1,28 @@
-//! The axis of a shaft: a line through the middles of its width.
+//! The axis of a shaft: a line through the centres of its cross sections.
 
 use super::{LastMask, TipFinder};
 
-/// Fewest lines across the shaft, and its smallest length as a share of the jaws' length.
+/// Minimum number of lines across the shaft, and its minimum length as a share of the jaws' length.
 const MIN_LINES: usize = 4;
 const MIN_SHARE: f64 = 0.1;
-/// Thinnest part of a mask that is a shaft, px.
+/// Minimum width of a part of a mask that counts as shaft, px.
 const THIN_PX: f64 = 3.0;
 /// Share of the jaws' length that is left out beyond their joint.
 const JOINT_SHARE: f64 = 0.03;
-/// Pixels beside the shaft that are no other instrument.
+/// Distances from the shaft at which pixels are checked for another instrument, px.
 const BESIDE_PX: [f64; 2] = [1.0, 2.5];
-/// Middles farther from the line than this multiple of their median distance, and than this, px, are left out.
+/// Centres farther from the line than this multiple of their median distance, and than this, px, are left out.
 const OUTLIER: f64 = 3.0;
 const OUTLIER_PX: f64 = 0.7;
 
-/// A line in the picture.
+/// A line in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShaftAxis {
     /// Column and row of a point of it, px.
     pub from_px: [f64; 2],
     /// Unit vector towards the tip.
     pub along: [f64; 2],
-    /// Length of the shaft that it goes by: the direction of a short one is not exact.
+    /// Length of the shaft from which it was fitted; the direction of a short one is inaccurate.
     pub length_px: f64,
 }
 
@@ -31,7 +31,7 @@ impl ShaftAxis {
         ((y - self.from_px[1]) * self.along[0] - (x - self.from_px[0]) * self.along[1]).abs()
     }
 
-    /// Fits a line to points with weights of 0 or 1; it points as `towards` does.
+    /// Fits a line to points with weights of 0 or 1, oriented like `towards`.
     fn fit(points: &[([f64; 2], bool)], towards: [f64; 2]) -> Option<Self> {
         let used = || points.iter().filter(|(_, is_used)| *is_used).map(|(point, _)| *point);
         let n = used().count() as f64;
@@ -49,15 +49,15 @@ impl ShaftAxis {
 }
 
 impl TipFinder {
-    /// Length of the jaws that [`TipFinder::of_mask`] found last, from where they part to the farther end, px. None where it found no jaws.
+    /// Length of the jaws that [`TipFinder::of_mask`] found last, from where they part to the farther end, px. `None` if it found no jaws.
     pub fn jaws_px(&self) -> Option<f64> {
         let LastMask { lines, end_line, fork_line } = self.last?;
         fork_line.map(|fork_line| f64::from(end_line.saturating_sub(fork_line)) * lines.pitch)
     }
 
-    /// Axis of the shaft of the mask that [`TipFinder::of_mask`] was given last, in a picture of `size`. `jaws_px` is the length of the jaws: what is nearer
-    /// to the end is no shaft. Parts whose sides are the picture's border or another instrument are left out. None where hardly
-    /// anything of the shaft is in view.
+    /// Axis of the shaft of the mask that [`TipFinder::of_mask`] was given last, in an image of `size`. `jaws_px` is the length of the jaws: what is
+    /// nearer to the end is not shaft. Parts whose sides are the image border or another instrument are left out. `None` if too little of the shaft
+    /// is in view.
     pub fn axis(
         &mut self,
         size: (usize, usize),
@@ -115,7 +115,7 @@ mod tests {
     const SIZE: (usize, usize) = (320, 240);
     const JOINT: [f64; 2] = [200.0, 120.0];
 
-    /// A shaft from the right border to a joint, and two jaws of which a bar covers what `is_covered` says.
+    /// A shaft from the right border to a joint, and two jaws, with the pixels of `is_covered` hidden by a bar.
     fn jaws(is_covered: impl Fn(f64, f64) -> bool) -> Vec<u8> {
         bits_of(SIZE.0, SIZE.1, |x, y| {
             let shaft = on_bar([x, y], [330.0, 150.0], JOINT, 28.0);

@@ -1,34 +1,34 @@
-//! The part of a picture around a box as cells, and what the picture and the depth say of each.
+//! The part of an image around a box as cells, with colour and depth of each.
 
 use std::ops::Range;
 
 use panoscope_node::View;
 
-/// Cues that distinguish an instrument from tissue; at least one of both.
+/// Cues that distinguish an instrument from tissue; at least one of both is required.
 #[derive(Clone, Copy)]
 pub struct Cues<'a> {
-    /// Width and height of the picture, px.
+    /// Width and height of the image, px.
     pub size: (usize, usize),
-    /// Blue, green, red.
+    /// The image: blue, green, red.
     pub picture: Option<View<'a, u8>>,
-    /// Something that grows as 1/depth does (disparity); NaN where unknown.
+    /// A value proportional to 1/depth (disparity); NaN where unknown.
     pub nearness: Option<&'a dyn Nearness>,
 }
 
-/// A value that grows as 1/depth does.
+/// A value proportional to 1/depth.
 pub trait Nearness {
     /// Appends the values of a part of row `y`; NaN where unknown.
     fn extend_row(&self, y: usize, columns: Range<usize>, values: &mut Vec<f32>);
 }
 
-/// Margin around a box in which its instrument is searched: as a share of the box's sides, and the least, px.
+/// Margin around a box in which its instrument is searched: as a share of the box's sides, and the minimum, px.
 const MARGIN: f32 = 0.15;
 const MARGIN_PX: f32 = 6.0;
 /// Maximum number of cells along the longer side of the region.
 const MAX_CELLS: f32 = 128.0;
-/// Pixels of a large cell that are read, each way, at least.
+/// Minimum number of pixels that are read along each side of a large cell.
 const SAMPLES: usize = 4;
-/// Fewest cells of a region that can be segmented.
+/// Minimum number of cells of a region that can be segmented.
 pub(super) const MIN_CELLS: usize = 64;
 /// Brightness (sum of three channels) below which colour fades to gray.
 const DARK: f32 = 36.0;
@@ -37,12 +37,12 @@ pub(super) const REDS: usize = 16;
 pub(super) const BRIGHTS: usize = 8;
 pub(super) const COLOURS: usize = REDS * BRIGHTS;
 
-/// A region of the picture as cells.
+/// A region of the image as cells.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Region {
     pub(super) x_px: usize,
     pub(super) y_px: usize,
-    /// Pixels along one side of a cell.
+    /// Side of a cell, px.
     pub(super) pitch: usize,
     pub(super) width: usize,
     pub(super) height: usize,
@@ -80,9 +80,9 @@ pub(super) struct Cells {
     pub(super) redness: Vec<f32>,
     pub(super) bright: Vec<f32>,
     pub(super) near: Vec<f32>,
-    /// Per cell: class of its colour, see [`class_of`].
+    /// For each cell: class of its colour, see [`class_of`].
     pub(super) class: Vec<u8>,
-    /// Buffers.
+    /// Work memory.
     values: Vec<f32>,
     colour_sums: Vec<[u32; 3]>,
     near_sums: Vec<[f32; 2]>,
@@ -109,8 +109,8 @@ impl Cells {
         self.class.extend(self.redness.iter().zip(&self.bright).map(|(red, bright)| class_of(*red, *bright) as u8));
     }
 
-    /// The pixel rows of a row of cells that are read, and the pixel columns of all of them. Large cells are sampled, every `step` pixels: the mean of
-    /// sixteen pixels says as much as that of all.
+    /// The pixel rows of a row of cells that are read, and the pixel columns of all of them. Large cells are sampled every `step` pixels: the mean of
+    /// sixteen pixels is sufficient.
     fn sampled(&self, row: usize) -> (impl Iterator<Item = usize> + use<>, Range<usize>, usize) {
         let Region { x_px, y_px, pitch, width, .. } = self.region;
         let step = (pitch / SAMPLES).max(1);

@@ -1,6 +1,6 @@
 //! A plane through the nearness of cells.
 
-/// Cells whose sums are added up side by side.
+/// Number of independent sums over cells.
 const LANES: usize = 4;
 
 /// Position on a plane (1, column, row) and value of each cell; `row` gives the position of a row.
@@ -50,7 +50,7 @@ impl Sums {
     }
 }
 
-/// Solves three equations by Cramer's rule; none where they are singular.
+/// Solves three equations by Cramer's rule; `None` if they are singular.
 pub(super) fn solve(m: [[f64; 3]; 3], v: [f64; 3]) -> Option<[f64; 3]> {
     let det = |a: [[f64; 3]; 3]| {
         a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1]) - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])

@@ -1,4 +1,4 @@
-//! Tiny ONNX files made by the tests: one picture in, fixed tensors out.
+//! Tiny ONNX files written by the tests: one image in, fixed tensors out.
 
 use std::path::{Path, PathBuf};
 
@@ -60,7 +60,7 @@ impl Fixed {
     }
 }
 
-/// A model whose answer does not depend on the picture.
+/// A model whose output does not depend on the image.
 pub struct TinyModel {
     pub input: Vec<i64>,
     pub outputs: Vec<(&'static str, Vec<i64>, Fixed)>,
@@ -136,7 +136,7 @@ impl WiredModel {
         wrap(&graph, &self.metadata)
     }
 
-    /// Writes the file into a folder of the test's own.
+    /// Writes the file into the test's folder.
     pub fn write(&self, folder: &Path, name: &str) -> PathBuf {
         let path = folder.join(name);
         std::fs::write(&path, self.bytes()).expect("the test's folder can be written");
@@ -153,7 +153,7 @@ impl TinyModel {
         model.bytes()
     }
 
-    /// Writes the file into a folder of the test's own.
+    /// Writes the file into the test's folder.
     pub fn write(&self, folder: &Path, name: &str) -> PathBuf {
         let path = folder.join(name);
         std::fs::write(&path, self.bytes()).expect("the test's folder can be written");
@@ -171,7 +171,7 @@ pub fn wrap(graph: &Message, metadata: &[(&'static str, String)]) -> Vec<u8> {
     model.0
 }
 
-/// Whether ONNX Runtime is there; says so when it is not.
+/// Whether ONNX Runtime is installed; reports a skip when it is not.
 pub fn runtime_is_there() -> bool {
     match panoscope_tools::runtime_library::environment() {
         Ok(_) => true,
@@ -182,7 +182,7 @@ pub fn runtime_is_there() -> bool {
     }
 }
 
-/// A folder of this test's own, empty.
+/// An empty folder for this test.
 pub fn folder(name: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("tools-{name}"));
     let _ = std::fs::remove_dir_all(&path);

@@ -1,4 +1,4 @@
-//! A simulated Universal Robots arm to try `arm_ur` with: prints the node's parameters, then runs until it is ended.
+//! A simulated Universal Robots arm for trying `arm_ur`: prints the node's parameters, then runs until it is terminated.
 //!
 //! usage: panoscope-ur-simulator [SERIAL_NUMBER [RTDE_PORT DASHBOARD_PORT]]
 

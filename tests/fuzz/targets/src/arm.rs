@@ -1,4 +1,4 @@
-//! The arm: its line protocol, records of the guard, its latch file, its description.
+//! The arm: its line protocol, records of the guard, its latch file, its URDF.
 
 use panoscope_arm_core::interlock::{Cause, Event, Evidence, Settings};
 use panoscope_arm_core::line::Serial;
@@ -10,7 +10,7 @@ use panoscope_arm_guard::rtde;
 
 use crate::scratch;
 
-/// Lines of a serial port: as they are, and with the CRC made right, which the fuzzer cannot guess.
+/// Lines of a serial port: as they are, and with a corrected CRC, which the fuzzer cannot guess.
 pub fn line(bytes: &[u8]) {
     for part in bytes.split(|byte| *byte == b'\n') {
         one_line(part);
@@ -68,7 +68,7 @@ pub fn line_seeds() -> Vec<Vec<u8>> {
     all
 }
 
-/// A record as it is, and with its CRC made right.
+/// A record as it is, and with a corrected CRC.
 pub fn message(bytes: &[u8]) {
     one_message(bytes);
     let sealed = [bytes, &crc32fast::hash(bytes).to_le_bytes()].concat();
@@ -114,7 +114,7 @@ pub fn message_seeds() -> Vec<Vec<u8>> {
     all
 }
 
-/// The latch file: whatever it holds, the arm opens with a stop or was left at rest.
+/// The latch file: whatever it holds, the arm opens with a stop, or was at rest.
 pub fn latch(bytes: &[u8]) {
     one_latch(bytes);
     let body = bytes.split(|byte| *byte == b'\n').next().unwrap_or(bytes);

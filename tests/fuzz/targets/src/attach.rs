@@ -1,4 +1,4 @@
-//! What a window and a running graph of another machine send each other.
+//! Messages between a window and a running graph on another machine.
 
 use panoscope_base::format;
 use panoscope_graph::{Catalog, GraphText, NodeType, PacketType, Port, check};
@@ -51,7 +51,7 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// A graph of two nodes, as it is sent.
+/// The opening message of a graph of two nodes.
 fn opened() -> Message {
     let port = |name: &str| Port {
         name: name.to_owned(),

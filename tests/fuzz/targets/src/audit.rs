@@ -1,4 +1,4 @@
-//! The audit log, which somebody may have changed.
+//! The audit log, which may have been changed.
 
 use std::path::Path;
 
@@ -7,10 +7,10 @@ use panoscope_host::loader::sealed::Fingerprint;
 
 use crate::scratch;
 
-/// Between the head and the lines.
+/// Separates the head from the lines.
 const HEAD: &[u8] = b"\n--\n";
 
-/// A line with the hash that belongs to it, which the fuzzer cannot guess. `None` for what is no object.
+/// A line with a correct hash, which the fuzzer cannot guess. `None` if the line is not an object.
 fn sealed(line: &[u8]) -> Option<Vec<u8>> {
     let text = std::str::from_utf8(line).ok()?;
     let body = match text.find(",\"hash\":") {

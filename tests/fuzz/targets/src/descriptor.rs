@@ -1,4 +1,5 @@
-//! Descriptors of plugins: structures in memory, built from the bytes. Pointers are null, misaligned or valid for their length, as the contract demands.
+//! Descriptors of plugins: structures in memory, built from the bytes. Pointers are null, misaligned or valid for their length, as the contract
+//! requires.
 
 use std::ffi::c_void;
 
@@ -17,7 +18,7 @@ unsafe extern "C" fn process(_: *mut c_void, _: *mut abi::Call) -> abi::Status {
 
 unsafe extern "C" fn close(_: *mut c_void) {}
 
-/// A text of the bytes, now and then a pointer or a length that is none.
+/// A text from the bytes; sometimes with an invalid pointer or length.
 fn text(draw: &mut Draw<'_>) -> abi::Str {
     match draw.u8() {
         250 => abi::Str { ptr: std::ptr::null(), len: 3 },
@@ -41,7 +42,7 @@ fn list<T>(draw: &mut Draw<'_>, items: &[T]) -> (*const T, usize) {
     }
 }
 
-/// A flag set that is often right.
+/// A set of flags that is often valid.
 fn flags(draw: &mut Draw<'_>) -> u32 {
     match draw.u8() {
         255 => draw.u32(),
@@ -170,17 +171,17 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// A text as [`text`] draws it.
+/// Bytes from which [`text`] draws this text.
 fn seed_text(text: &str) -> Vec<u8> {
     [&[0, text.len() as u8], text.as_bytes()].concat()
 }
 
-/// A port as [`port`] draws it; `packet` is a position in its list.
+/// Bytes from which [`port`] draws this port; `packet` is an index into its list.
 fn seed_port(name: &str, packet: u8, formats: u8, flags: u8) -> Vec<u8> {
     [&seed_text(name)[..], &[packet], &seed_text("A port."), &[0; 8], &[formats, flags]].concat()
 }
 
-/// A parameter as [`run`] draws it, with the lists as they are. Numbers are bytes that stand for themselves less 100.
+/// Bytes from which [`run`] draws a parameter, with unchanged lists. Each number is a byte minus 100.
 fn seed_param(name: &str, kind: u8, flags: u8, numbers: [u8; 4], text: &str) -> Vec<u8> {
     let texts = [seed_text(name), seed_text("A parameter."), seed_text("px")].concat();
     [&[0, 0], &texts[..], &[kind, flags], &numbers, &seed_text(text)].concat()
@@ -189,15 +190,15 @@ fn seed_param(name: &str, kind: u8, flags: u8, numbers: [u8; 4], text: &str) -> 
 /// A plugin with one node.
 struct Seed {
     choices: Vec<&'static str>,
-    /// As numbers of a parameter.
+    /// Numbers of a parameter.
     floats: Vec<u8>,
     inputs: Vec<Vec<u8>>,
     outputs: Vec<Vec<u8>>,
     params: Vec<Vec<u8>>,
-    /// Bits of functions that are missing; how the lists of inputs, outputs and parameters are changed; struct size, kind, flags.
+    /// Bits of missing functions; changes to the lists of inputs, outputs and parameters; struct size, kind, flags.
     node: [u8; 7],
     name: &'static str,
-    /// A null pointer among the node types; how their list is changed; magic, version and size are right if 0.
+    /// A null pointer among the node types; changes to their list; magic, version and size are valid if 0.
     plugin: [u8; 5],
     plugin_name: &'static str,
 }

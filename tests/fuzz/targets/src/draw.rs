@@ -1,6 +1,6 @@
 //! Values drawn from bytes, for inputs that are structures in memory.
 
-/// Takes values from the front of the bytes; zero when they are used up.
+/// Draws values from the front of the bytes; zero when they are used up.
 pub struct Draw<'b>(pub &'b [u8]);
 
 impl<'b> Draw<'b> {
@@ -28,7 +28,7 @@ impl<'b> Draw<'b> {
         f64::from_bits(self.u64())
     }
 
-    /// Up to `most` bytes; the first byte says how many.
+    /// Up to `most` bytes; the first byte gives the number.
     pub fn bytes(&mut self, most: usize) -> &'b [u8] {
         let len = usize::from(self.u8()).min(most).min(self.0.len());
         let (head, rest) = self.0.split_at(len);

@@ -1,7 +1,7 @@
 //! Graph files with parts, overlays, arguments and settings.
 //!
-//! The text is divided by lines `#--- NAME`. What comes before the first is the graph; the others are files beside it by their names. Those
-//! whose name begins with `over` are overlays. `set` holds settings and `args` values of arguments, one a line.
+//! The text is divided by lines `#--- NAME`. The part before the first is the graph; the others are files with these names in the same folder. Names
+//! that begin with `over` are overlays. `set` holds settings and `args` values of arguments, one per line.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ fn catalog() -> &'static Catalog {
     CATALOG.get_or_init(common::catalog)
 }
 
-/// The main text and the options that the other pieces amount to.
+/// The main text, and the options from the other pieces.
 fn pieces(text: &str) -> (&str, GraphOptions) {
     let mut options = GraphOptions::default();
     let mut pieces = text.split("#--- ");
@@ -47,7 +47,7 @@ fn pieces(text: &str) -> (&str, GraphOptions) {
     (main, options)
 }
 
-/// Positions lie inside the file that they name, and the rendering of everything works.
+/// Positions are inside the file that they name, and everything can be rendered.
 fn positions(text: &GraphText, diagnostics: &Diagnostics) {
     let files: BTreeMap<&str, &str> = text.files().into_iter().map(|file| (file.path, file.text)).collect();
     let inside = |file: &str, span: &std::ops::Range<usize>| match files.get(file) {
@@ -103,7 +103,7 @@ fn same_when_flattened(path: &Path, read: &GraphText, graph: &panoscope_graph::G
     assert_eq!(again.edges.len(), graph.edges.len(), "{flat}");
 }
 
-/// An edit leaves TOML behind, and the value that was set.
+/// An edit results in TOML with the new value.
 fn edited(text: &str) {
     let Ok(mut edit) = GraphEdit::parse(text) else { return };
     let ids: Vec<String> = toml::from_str::<toml::Table>(text)
@@ -161,7 +161,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
     texts.into_iter().map(String::into_bytes).collect()
 }
 
-/// A valid graph: its text, and checked.
+/// A valid graph: its text, and the checked graph.
 pub fn example() -> (&'static str, panoscope_graph::Graph) {
     let text = common::graphs::PANORAMA;
     let checked = check(&GraphText::parse(Path::new("/panorama.toml"), text), catalog());

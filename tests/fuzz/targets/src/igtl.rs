@@ -5,13 +5,13 @@ use panoscope_igtl::{HEADER_BYTES, Message, Reader};
 
 /// Limit of the reader under test.
 const BODY_LIMIT: u64 = 1 << 20;
-/// Bytes that the OpenIGTLink library and pyigtl wrote.
+/// Bytes written by the OpenIGTLink library and pyigtl.
 const GOLDEN: [&str; 2] = [
     include_str!("../../../../core/links/igtl/tests/golden/library.txt"),
     include_str!("../../../../core/links/igtl/tests/golden/pyigtl.txt"),
 ];
 
-/// A stream as it is, and as one message whose length and CRC are made right, which the fuzzer cannot guess.
+/// A stream as it is, and as one message with corrected length and CRC, which the fuzzer cannot guess.
 pub fn run(bytes: &[u8]) {
     let whole = read(bytes, bytes.len().max(1));
     assert!(whole.len() <= bytes.len() / HEADER_BYTES + 1, "{} messages in {} bytes", whole.len(), bytes.len());
@@ -27,7 +27,7 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// The messages of a stream that arrives in pieces, in words.
+/// The messages of a stream that arrives in pieces, as text.
 fn read(bytes: &[u8], pieces: usize) -> Vec<String> {
     let (mut reader, mut found) = (Reader::new(BODY_LIMIT), Vec::new());
     for mut piece in bytes.chunks(pieces) {
@@ -49,7 +49,7 @@ fn read(bytes: &[u8], pieces: usize) -> Vec<String> {
     found
 }
 
-/// What was accepted is written and read again as the same bytes; names in other encodings may have grown too long.
+/// Accepted messages are written and read again as the same bytes; names in other encodings may have become too long.
 fn rewrite(message: &Message<'_>) {
     let mut once = Vec::new();
     if message.encode(&mut once).is_err() {

@@ -1,7 +1,7 @@
-//! What a process of isolated nodes sends to its host: descriptions of plugins, problems of parameters, and the messages of calls.
+//! Messages from a process of isolated nodes to its host: descriptions of plugins, problems of parameters, and the messages of calls.
 //!
-//! The process may run code that nobody trusts, so it may send anything. The host runs a whole graph here, whose middle node is played by a script;
-//! the node after it reads every byte that it is given.
+//! The process may run untrusted code, so it may send anything. Here the host runs a whole graph whose middle node is played by a script; the node
+//! after it reads every byte that it is given.
 
 use std::ffi::c_void;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use panoscope_record::{RecordOptions, Recorder};
 
 use crate::draw::Draw;
 
-/// A description: what was accepted is checked like that of a loaded plugin, and comes back the same when it is written again.
+/// A description: an accepted one is checked like that of a loaded plugin, and is the same after it is written and read again.
 pub fn description(bytes: &[u8]) {
     // SAFETY: the descriptor lives until the function returns; its pointers and lengths are those of what was read.
     let types = played::with_description(bytes, |plugin| unsafe {
@@ -68,7 +68,7 @@ pub fn description_seeds() -> Vec<Vec<u8>> {
     vec![whole, one.clone(), one[..one.len() - 3].to_vec(), count, problem, many, vec![0; 8], Vec::new()]
 }
 
-/// Reads a script. Each step: kind, number of pieces, pieces; see [`piece`].
+/// Parses a script. Each step: kind, number of pieces, pieces; see [`piece`].
 fn script(bytes: &[u8]) -> Vec<Step> {
     let kinds = played::kinds();
     let (mut draw, mut steps) = (Draw(bytes), Vec::new());
@@ -151,7 +151,7 @@ pub fn calls(bytes: &[u8]) {
     }
 }
 
-/// What another group keeps in memory that the played process is never given.
+/// Memory of another group to which the played process is never given access.
 const SECRET: &[u8] = b"a picture of another group";
 
 /// A frame of another group.
@@ -167,7 +167,7 @@ fn secret() -> (Domain, FrameRef) {
     (domain, frame)
 }
 
-/// A recording of a run of this graph, without the node that is played.
+/// A recording of a run of this graph, without the played node.
 pub fn recorded(file: &Path) {
     let host = host();
     let text = "mode = \"batch\"\nplugins = [\"simple\"]\n[nodes.feed]\ntype = \"feed\"\n\
@@ -324,7 +324,7 @@ unsafe extern "C" fn nothing(_: *mut c_void, _: *mut abi::Call) -> abi::Status {
     abi::STATUS_INVALID
 }
 
-/// Makes a picture.
+/// Makes a frame.
 unsafe extern "C" fn feed(_: *mut c_void, call: *mut abi::Call) -> abi::Status {
     // SAFETY: the contract: the call and its table live until this returns.
     let call = unsafe { &mut *call };
@@ -361,7 +361,7 @@ unsafe extern "C" fn taste(_: *mut c_void, call: *mut abi::Call) -> abi::Status 
     abi::STATUS_OK
 }
 
-/// A script as bytes: kinds are positions in [`played::kinds`].
+/// A script as bytes: kinds are indices into [`played::kinds`].
 #[derive(Clone, Default)]
 struct Script(Vec<u8>);
 
@@ -398,18 +398,18 @@ impl Script {
         self
     }
 
-    /// The end of a request: what goes before, and the status.
+    /// The end of a request: preceding messages, and the status.
     fn done(self, before: &[Vec<u8>]) -> Self {
         self.step(DONE, &[before, &[BEFORE.to_vec(), small(0)]].concat())
     }
 
-    /// The end of a tick: what goes before, and the first output.
+    /// The end of a tick: preceding messages, and the first output.
     fn made(self, before: &[Vec<u8>], output: &[Vec<u8>]) -> Self {
         let tick = [BEFORE.to_vec(), small(0), raw(&[0; 24]), long(2)];
         self.step(DONE, &[before, &tick, output, &[raw(&[0; 60]), text(b"")]].concat())
     }
 
-    /// A script that opens, makes something of each tick, and closes.
+    /// A script that opens, makes an output at each tick, and closes.
     fn around(self, tick: impl Fn(Self) -> Self) -> Self {
         (0..FRAMES).fold(self.done(&[]), |script, _| tick(script)).done(&[])
     }
@@ -444,7 +444,7 @@ fn picture() -> [Vec<u8>; 5] {
     [format, width.clone(), height, width, long((WIDTH * HEIGHT) as u8)]
 }
 
-/// A frame of another group, in the pool that it has while no other group is there.
+/// A frame of another group, in the pool that it has while there is no other group.
 fn foreign() -> Vec<Vec<u8>> {
     let [format, width, height, stride, len] = picture();
     let buffer = secret().1.frame().buffer;

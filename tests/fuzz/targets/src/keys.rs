@@ -1,4 +1,4 @@
-//! Key files, of which an installation reads whole folders.
+//! Key files. An installation reads whole folders of them.
 
 use std::os::unix::fs::PermissionsExt;
 

@@ -1,4 +1,4 @@
-//! True boxes and outlines: VOC, COCO, labelme, VIA, YOLO. Each target writes its bytes as the only file of labels of a picture of 12 x 9 px.
+//! True boxes and outlines: VOC, COCO, labelme, VIA, YOLO. Each target writes its bytes as the only label file of an image of 12 x 9 px.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -21,7 +21,7 @@ fn png() -> &'static [u8] {
     })
 }
 
-/// Writes the picture if it is not there.
+/// Writes the image if it does not exist.
 fn picture(name: &str) {
     let path = scratch::path(name);
     if !path.exists() {
@@ -81,7 +81,7 @@ pub fn labelme(bytes: &[u8]) {
     judge(file.parent().expect("a folder"), bytes);
 }
 
-/// Labels, and behind a line `#---` the file `data.yaml`.
+/// Labels, and after a line `#---` the file `data.yaml`.
 pub fn yolo(bytes: &[u8]) {
     picture("yolo/images/a.png");
     let mark = b"#---\n";

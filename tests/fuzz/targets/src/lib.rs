@@ -1,8 +1,8 @@
-//! Functions that take bytes nobody has checked, one per parser of foreign files and messages.
+//! Functions that take unchecked bytes, one per parser of foreign files and messages.
 //!
-//! The fuzzer calls them (`tests/fuzz/fuzz_targets`), and the test `corpora` replays what the fuzzer found with the stable toolchain. A function
-//! panics when the parser breaks a property: what it accepted must survive being written and read again, positions of errors must
-//! lie inside the file, and the work must be in proportion to the bytes. The callers add limits of memory and time.
+//! The fuzzer calls them (`tests/fuzz/fuzz_targets`), and the test `corpora` replays the fuzzer's findings with the stable toolchain. A function
+//! panics when the parser violates a property: accepted input must survive being written and read again, positions of errors must be inside the file,
+//! and the work must be proportional to the number of bytes. The callers add limits of memory and time.
 
 mod arm;
 mod attach;
@@ -33,15 +33,15 @@ use std::path::Path;
 
 /// A parser under test.
 pub struct Target {
-    /// Name of the target, its corpus and its file in `tests/fuzz/fuzz_targets`.
+    /// Name of the target, of its corpus and of its file in `tests/fuzz/fuzz_targets`.
     pub name: &'static str,
     /// Parses bytes and asserts properties of the result.
     pub run: fn(&[u8]),
-    /// Valid inputs and typical mistakes, to start from.
+    /// Initial inputs: valid ones and typical mistakes.
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All targets, by name.
+/// All targets, sorted by name.
 pub const TARGETS: &[Target] = &[
     Target { name: "arm_line", run: arm::line, seeds: arm::line_seeds },
     Target { name: "attach_message", run: attach::run, seeds: attach::seeds },
@@ -87,9 +87,9 @@ pub const TARGETS: &[Target] = &[
     Target { name: "yolo_labels", run: labels::yolo, seeds: labels::yolo_seeds },
 ];
 
-/// Folder that [`begin`] writes the seeds to.
+/// Environment variable with the folder to which [`begin`] writes the seeds.
 pub const SEEDS_VARIABLE: &str = "PANOSCOPE_FUZZ_SEEDS";
-/// Folder for the files that a target needs on disk; a folder in memory where there is one.
+/// Environment variable with the folder for files that a target needs; in memory where possible.
 pub const SCRATCH_VARIABLE: &str = "PANOSCOPE_FUZZ_SCRATCH";
 
 /// The target called `name`.

@@ -1,4 +1,4 @@
-//! The walk through an ONNX file before ONNX Runtime sees it, and what `panoscope describe` reads of it.
+//! The check of an ONNX file before ONNX Runtime opens it, and what `panoscope describe` reads of it.
 
 use panoscope_base::onnx;
 
@@ -19,7 +19,7 @@ pub fn run(bytes: &[u8]) {
     }
 }
 
-/// A number as the format has them.
+/// A protobuf varint.
 fn varint(mut value: u64) -> Vec<u8> {
     let mut out = Vec::new();
     while value >= 0x80 {

@@ -68,7 +68,7 @@ pub fn float_image_seeds() -> Vec<Vec<u8>> {
 
 const ENDINGS: [&str; 8] = ["pfm", "npy", "tif", "png", "xyz", "ply", "txt", "exr"];
 
-/// A file of truth; the first byte chooses its ending.
+/// A file of ground truth; the first byte selects its extension.
 pub fn truth_file(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else { return };
     let ending = ENDINGS[usize::from(*kind) % ENDINGS.len()];

@@ -1,4 +1,4 @@
-//! Packets, as recordings and other processes hand them over.
+//! Packets from recordings and other processes.
 
 use panoscope_abi as abi;
 use panoscope_base::packet::{Cloud, Detections, Numbers, Table, decode, label, name};

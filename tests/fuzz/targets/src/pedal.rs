@@ -2,7 +2,7 @@
 
 use panoscope_editor_model::pedal::{self, Binding};
 
-/// Names of keys, two of them of one key.
+/// Names of keys; two of them name the same key.
 const KEYS: &[(&str, u8)] =
     &[("F13", 13), ("F14", 14), ("B", 2), ("7", 7), ("Num7", 7), ("Space", 32), ("PageDown", 33), ("Escape", 27)];
 const ACTIONS: &[(&str, u8)] = &[("next", 0), ("freeze", 1), ("stop", 2), ("view1", 3)];

@@ -1,11 +1,11 @@
-//! Pictures that the node `capture` decodes itself: PNG, EXR, TIFF, JPEG, BMP, PNM; masks of classes.
+//! Images that the node `capture` decodes itself: PNG, EXR, TIFF, JPEG, BMP, PNM; masks of classes.
 
 use panoscope_capture::source::decode_picture;
 use panoscope_data::bit_depth::white_for;
 use panoscope_data::truth::masks::{Code, MaskPicture};
 use panoscope_media::input::jpeg;
 
-/// Masks with fewer pixels are divided into their parts, which takes time in proportion.
+/// Maximum size of masks that are divided into their parts, which takes time in proportion, px.
 const MAX_PARTED: usize = 1 << 20;
 
 pub fn run(bytes: &[u8]) {
@@ -108,7 +108,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
     all
 }
 
-/// A JPEG with each of its segments changed; what follows the head of the scan stays.
+/// A JPEG with each of its segments changed; the data after the scan header stay.
 fn changed_segments(jpeg: &[u8], change: impl Fn(u8, &[u8]) -> Vec<u8>) -> Vec<u8> {
     let (mut out, mut at) = (jpeg[..2].to_vec(), 2);
     while let Some(&[0xff, marker, high, low]) = jpeg.get(at..at + 4) {

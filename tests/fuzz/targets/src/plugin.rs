@@ -121,7 +121,7 @@ pub fn note_seeds() -> Vec<Vec<u8>> {
     ]
 }
 
-/// A lock file beside a graph, with a trusted key and without one.
+/// A lock file next to a graph, with a trusted key and without one.
 pub fn lock(bytes: &[u8]) {
     let file = scratch::file("lock/graph.toml.lock", bytes);
     let graph = file.with_file_name("graph.toml");
@@ -140,7 +140,7 @@ pub fn lock(bytes: &[u8]) {
     }
 }
 
-/// Whether a lock is believed: only as its key signed it.
+/// Checks that a lock is accepted only as its key signed it.
 fn judge(graph: &Path, mut lock: Lock) {
     let secret = secret_key();
     let (nobody, mut trust) = (Trust::default(), Trust::default());
@@ -166,7 +166,7 @@ fn judge(graph: &Path, mut lock: Lock) {
     assert!(!before.differences(&lock).is_empty() && !lock.differences(&before).is_empty());
 }
 
-/// The same key in every run, so that inputs that it signed stay valid.
+/// The same key in every run, so that signed inputs stay valid.
 fn secret_key() -> SecretKey {
     let file = scratch::path("lock/key");
     if !file.exists() {

@@ -1,4 +1,4 @@
-//! Messages and bags of ROS 2, and the heads of requests that a gate of a WebSocket server reads.
+//! Messages and bags of ROS 2, and the request heads that a WebSocket server's gate reads.
 
 use panoscope_ros::bag::{BagReader, BagWriter};
 use panoscope_ros::cdr::{self, Message};
@@ -9,7 +9,7 @@ use panoscope_ros::messages::{
 
 use crate::scratch;
 
-/// Reads bytes as a message; what is read is written and read again.
+/// Reads bytes as a message; a valid message is written and read again.
 fn again<'b, M>(bytes: &'b [u8]) -> Option<M>
 where
     M: Message + serde::Serialize + serde::Deserialize<'b>,
@@ -21,7 +21,7 @@ where
     Some(message)
 }
 
-/// One message: the first byte chooses its type.
+/// One message: the first byte selects its type.
 pub fn message(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else { return };
     match kind % 8 {

@@ -28,7 +28,7 @@ fn new_folder() -> Folder {
     Folder(folder)
 }
 
-/// Path of a file in the folder; its own folder exists.
+/// Path of a file in the folder; creates its parent folder.
 pub fn path(name: &str) -> PathBuf {
     let path = FOLDER.with(|folder| folder.0.join(name));
     if let Some(folder) = path.parent() {

@@ -1,4 +1,4 @@
-//! What the editor keeps of a graph: presets and snapshots beside it, the arrangement of its panels in the user's folder.
+//! The editor's state of a graph: presets and snapshots next to it, the arrangement of its panels in the user's folder.
 
 use std::path::Path;
 use std::sync::Arc;

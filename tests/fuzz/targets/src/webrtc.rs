@@ -1,8 +1,8 @@
-//! Offers of web browsers that want to see a stream.
+//! Offers of web browsers that want to watch a stream.
 
 use panoscope_media::offer::Offer;
 
-/// An offer. What is handed on reads as the same offer, and says nothing but lines of plain text.
+/// An offer. An accepted one reads as the same offer when it is passed on, and contains only lines of plain text.
 pub fn offer(bytes: &[u8]) {
     let Ok(offer) = Offer::parse(bytes) else { return };
     let text = offer.to_text();

@@ -13,13 +13,13 @@ use panoscope_fuzz_targets::{TARGETS, Target};
 /// Maximum number of files and bytes of a committed corpus.
 const MAX_FILES: usize = 60;
 const MAX_BYTES: usize = 100 << 10;
-/// Longest time for one input, on a busy machine and without optimization. Inputs take milliseconds; those that this is for, hours.
+/// Time limit for one input, on a busy machine and without optimization. Normal inputs take milliseconds; those that this detects, hours.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Largest single allocation for an input; pictures may expand what they packed.
+/// Maximum size of a single allocation for an input; decoders of images may allocate their pixels.
 const MAX_SIZE: usize = 64 << 20;
 const MAX_PICTURE: usize = 512 << 20;
 
-/// Remembers the largest allocation of each thread.
+/// Records the largest allocation of each thread.
 struct Watched;
 
 thread_local! {
@@ -77,7 +77,7 @@ fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
     files.into_iter().map(read).collect()
 }
 
-/// Runs one input; what is wrong with it.
+/// Runs one input. Returns what is wrong with it.
 fn fault(target: &Target, bytes: &[u8]) -> Option<String> {
     MAX_REQUEST.set(0);
     let begun = Instant::now();
@@ -111,7 +111,7 @@ fn every_input_is_survived() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Changes an input at random: bits, numbers, pieces taken out, doubled or taken from another input.
+/// Changes an input at random: bits, numbers, pieces removed, doubled or taken from another input.
 fn damaged(random: &mut SplitMix64, inputs: &[Vec<u8>]) -> Vec<u8> {
     const NUMBERS: [&[u8]; 10] = [
         b"0",
@@ -149,8 +149,8 @@ fn damaged(random: &mut SplitMix64, inputs: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// A short pass without guidance; `cargo xtask fuzz` looks far deeper. PANOSCOPE_FUZZ_CASES sets the number of inputs for each target,
-/// PANOSCOPE_FUZZ_SEED picks other ones.
+/// A short unguided pass; `cargo xtask fuzz` goes far deeper. PANOSCOPE_FUZZ_CASES sets the number of inputs for each target, PANOSCOPE_FUZZ_SEED
+/// selects others.
 #[test]
 fn damaged_inputs_are_survived() {
     let number = |name: &str, otherwise: u64| {

@@ -1,17 +1,17 @@
-//! `chaos` and `chaos_blocking`: forward pictures, and misbehave on request.
+//! `chaos` and `chaos_blocking`: forward frames, and misbehave on request.
 
 use panoscope_node::{AnyFormat, Context, Gray8, Image, Node, NodeInfo, Open, Ports, Result, Slot};
 
 use crate::harm::{Harm, Plan};
 
-/// One gray picture.
+/// One gray frame.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture.
+    /// The frame to forward.
     image: Image<'f, Gray8>,
 }
 
-/// The picture handed on.
+/// The forwarded frame.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The same buffer as the input, when nothing goes wrong.
@@ -65,7 +65,7 @@ impl Node for Chaos {
     }
 }
 
-/// Misbehaves on a thread of its own.
+/// Misbehaves on a separate thread.
 pub struct ChaosBlocking;
 
 impl Node for ChaosBlocking {

@@ -1,57 +1,57 @@
-//! What goes wrong, and when.
+//! Kinds of misbehaviour, and when they occur.
 
 use std::time::{Duration, Instant};
 
 use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Open, Params, Result, Slot, error, random};
 
-/// What goes wrong.
+/// Kind of misbehaviour.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Harm {
     /// Nothing.
     Never,
-    /// The call answers with an error.
+    /// The call returns an error.
     Error,
     /// The call panics.
     Panic,
     /// The call does not return for `hang_ms`.
     Hang,
-    /// A chunk of a loop on the host's pool does not return for `hang_ms`.
+    /// A chunk of a parallel loop on the host's pool does not return for `hang_ms`.
     HangInLoop,
-    /// A chunk of a loop in a chunk of a loop does not return for `hang_ms`.
+    /// A chunk of a nested parallel loop does not return for `hang_ms`.
     HangInNestedLoop,
-    /// A picture of NaN.
+    /// A frame of NaN.
     Nan,
-    /// A picture of another size than its input.
+    /// A frame of another size than its input.
     WrongSize,
-    /// A picture of another format than its reader takes.
+    /// A frame of another format than its reader accepts.
     WrongFormat,
-    /// No picture.
+    /// No frame.
     Nothing,
-    /// A picture larger than any may be.
+    /// A frame larger than the maximum.
     TooMuch,
     /// The call takes `slow_ms`.
     Slow,
-    /// Every picture is kept for ever.
+    /// Every frame is kept forever.
     Leak,
-    /// The capture time of the tick before. Sources only.
+    /// The capture time of the previous tick. Sources only.
     Repeat,
-    /// A capture time before that of the tick before. Sources only.
+    /// A capture time before that of the previous tick. Sources only.
     Reorder,
-    /// Capture times at the ends of what the number holds. Sources only.
+    /// Capture times at the limits of the integer. Sources only.
     Extreme,
-    /// A picture that is kept once is given back twice.
+    /// A frame that is retained once is released twice.
     ReleaseTwice,
-    /// The same on a thread of the plugin's own.
+    /// The same on a thread of the plugin.
     ReleaseTwiceElsewhere,
-    /// The call writes to memory that is not there: the process ends.
+    /// The call writes to unmapped memory: the process ends.
     Segv,
-    /// A chunk of a loop on the host's pool does so.
+    /// A chunk of a parallel loop on the host's pool does so.
     SegvInLoop,
     /// Opening does so, whatever the tick.
     SegvInOpen,
     /// The call aborts the process.
     Abort,
-    /// The call calls itself until its stack overflows.
+    /// The call recurses until its stack overflows.
     StackOverflow,
     /// The call calls `exit`.
     Exit,
@@ -61,55 +61,55 @@ pub enum Harm {
     WildWrite,
     /// The call writes beyond the end of its output, into the frames behind it.
     Overrun,
-    /// The call takes memory until there is none.
+    /// The call allocates memory until there is none.
     OutOfMemory,
-    /// The call writes `file`; if it cannot, it fails.
+    /// The call writes `file`; it fails if that is not possible.
     NewFile,
-    /// The call opens a socket; if it cannot, it fails.
+    /// The call opens a socket; it fails if that is not possible.
     Socket,
 }
 
-/// When it goes wrong.
+/// Which misbehaviour occurs, and when.
 #[derive(Params)]
 pub struct Plan {
-    /// What goes wrong.
+    /// Kind of misbehaviour.
     #[param(default = "never")]
     pub harm: Harm,
-    /// First tick that goes wrong.
+    /// First tick with misbehaviour.
     #[param(default = 10, range = 0..=1000000000)]
     pub first: u64,
-    /// How many ticks in a row go wrong.
+    /// Number of consecutive ticks with misbehaviour.
     #[param(default = 1, range = 0..=1000000000)]
     pub ticks: u64,
-    /// Any later tick goes wrong with this chance too, decided by `seed` and the tick's number.
+    /// Probability of misbehaviour in each later tick, decided by `seed` and the tick's number.
     #[param(default = 0.0, range = 0.0..=1.0)]
     pub chance: f64,
-    /// Another seed, other ticks.
+    /// Seed that selects the later ticks.
     #[param(default = 0, range = 0..=1000000000)]
     pub seed: u64,
-    /// How long a call that hangs does not return.
+    /// Duration of a call that hangs.
     #[param(default = 60000.0, range = 0.0..=1000000000.0, unit = "ms")]
     pub hang_ms: f64,
-    /// How long a slow call takes.
+    /// Duration of a slow call.
     #[param(default = 50.0, range = 0.0..=100000.0, unit = "ms")]
     pub slow_ms: f64,
-    /// The file that is written.
+    /// File to write.
     #[param(default = "")]
     pub file: String,
-    /// How long opening takes.
+    /// Duration of opening.
     #[param(default = 0.0, range = 0.0..=1000000000.0, unit = "ms", reopen)]
     pub open_ms: f64,
 }
 
 impl Plan {
-    /// What happens at a tick.
+    /// Misbehaviour at a tick.
     pub fn at(&self, seq: u64) -> Harm {
         let planned = seq >= self.first && seq - self.first < self.ticks;
         let lucky = seq >= self.first && random::unit(random::mix(self.seed) ^ seq) < self.chance;
         if planned || lucky { self.harm } else { Harm::Never }
     }
 
-    /// What goes wrong while a node is opened.
+    /// Misbehaves while a node is opened.
     pub fn open(&self, open: &Open<'_>) {
         if self.harm == Harm::SegvInOpen {
             segv();
@@ -120,7 +120,7 @@ impl Plan {
         }
     }
 
-    /// Harm that does not depend on what the node makes: it fails, or it takes its time.
+    /// Misbehaves in ways that do not depend on the node's output: fails, or takes its time.
     pub fn suffer(&self, cx: &Context<'_>, harm: Harm) -> Result<()> {
         let seq = cx.tick().seq;
         match harm {
@@ -165,7 +165,7 @@ impl Plan {
         Ok(())
     }
 
-    /// A picture gone wrong; `false` when this harm is none of the picture.
+    /// Makes a bad frame; returns `false` when this misbehaviour does not concern the frame.
     pub fn spoil(&self, harm: Harm, out: &mut Slot<'_, AnyFormat>, width: usize, height: usize) -> Result<bool> {
         match harm {
             Harm::Nan | Harm::WrongFormat => {
@@ -199,14 +199,14 @@ fn segv() {
     unsafe { std::ptr::without_provenance_mut::<u8>(0xbad).write_volatile(1) };
 }
 
-/// Calls itself for ever; every level needs its own piece of the stack.
+/// Recurses forever; every level needs its own part of the stack.
 #[allow(unconditional_recursion, reason = "the stack is to overflow")]
 fn deeper(level: u64) -> u64 {
     let piece = std::hint::black_box([level; 64]);
     deeper(piece[7] + 1).wrapping_add(piece[8])
 }
 
-/// Does not return for a time.
+/// Blocks for a time.
 pub(crate) fn wait(ms: f64) {
     let end = Instant::now() + Duration::from_secs_f64(ms / 1e3);
     while Instant::now() < end {

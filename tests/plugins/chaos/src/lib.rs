@@ -1,5 +1,5 @@
-//! Nodes that misbehave on demand: they panic, hang, slow down, leak, make nothing, too much or nonsense. A graph with
-//! them shows what the runtime does about a plugin that goes wrong.
+//! Nodes that misbehave on request: they panic, hang, slow down, leak, output nothing, too much or malformed frames. A graph with them shows how the
+//! runtime handles faulty plugins.
 
 pub mod filter;
 pub mod harm;

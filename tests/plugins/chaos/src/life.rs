@@ -1,5 +1,5 @@
-//! `chaos_life` and `chaos_device` hand pictures on, `chaos_camera` makes them; what does not return is not their work on a tick but what comes before and after:
-//! opening, closing, handing a state over.
+//! `chaos_life` and `chaos_device` forward frames, `chaos_camera` makes them. They hang not in a tick but before and after: while opening, closing,
+//! or handing over a state.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -12,13 +12,13 @@ use panoscope_node::{
 
 use crate::harm::wait;
 
-/// Times that a node of a name was opened.
+/// How often a node of each name was opened.
 static OPENED: Mutex<Option<HashMap<String, u64>>> = Mutex::new(None);
 
-/// What does not return.
+/// Call that hangs.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hangs {
-    /// Nothing.
+    /// No call.
     Never,
     /// Opening.
     Open,
@@ -34,7 +34,7 @@ pub enum Hangs {
     Load,
 }
 
-/// Returns when two chunks of a loop ran at once, at the latest after `max_ms` for each.
+/// Returns when two chunks of a loop ran at the same time, after at most `max_ms` for each.
 fn meet(pool: &dyn Parallel, max_ms: f64) {
     let arrived = AtomicU32::new(0);
     let end = Instant::now() + Duration::from_secs_f64(max_ms * 1e-3);
@@ -46,38 +46,38 @@ fn meet(pool: &dyn Parallel, max_ms: f64) {
     });
 }
 
-/// What goes wrong, and when.
+/// What hangs or fails, and when.
 #[derive(Params)]
 pub struct Life {
-    /// What does not return for `hang_ms`.
+    /// Call that does not return for `hang_ms`.
     #[param(default = "never", reopen)]
     hangs: Hangs,
-    /// How long it does not return.
+    /// Duration of the hang.
     #[param(default = 60000.0, range = 0.0..=1000000000.0, unit = "ms", reopen)]
     hang_ms: f64,
-    /// Of openings of nodes of this name in the process, so many return at once.
+    /// This many openings of nodes of this name in the process return at once.
     #[param(default = 0, range = 0..=1000000000, reopen)]
     quick_opens: u64,
-    /// So many after these do not return in time; the rest does.
+    /// This many openings after these do not return in time; later ones do.
     #[param(default = 1000000000, range = 0..=1000000000, reopen)]
     slow_opens: u64,
     /// Tick that fails, once; 0 for none.
     #[param(default = 0, range = 0..=1000000000, reopen)]
     fails_at: u64,
-    /// Another number opens the node again.
+    /// A change of this number reopens the node.
     #[param(default = 0, range = 0..=1000000000, reopen)]
     #[allow(dead_code, reason = "only its change matters")]
     turn: u64,
 }
 
-/// One gray picture.
+/// One gray frame.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture.
+    /// The frame to forward.
     image: Image<'f, Gray8>,
 }
 
-/// The picture handed on.
+/// The forwarded frame.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The same buffer as the input.
@@ -142,7 +142,7 @@ impl Drop for Instance {
     }
 }
 
-/// A node that can be open beside its successor.
+/// A node that may be open together with its replacement.
 pub struct ChaosLife(Instance);
 
 impl Node for ChaosLife {
@@ -170,7 +170,7 @@ impl Node for ChaosLife {
     }
 }
 
-/// A node that has to be closed before its successor is opened.
+/// A node that must be closed before its replacement opens.
 pub struct ChaosDevice(Instance);
 
 impl Node for ChaosDevice {
@@ -199,14 +199,14 @@ impl Node for ChaosDevice {
     }
 }
 
-/// Made pictures.
+/// Output of the source.
 #[derive(Ports)]
 pub struct Made<'f> {
-    /// A black picture.
+    /// A black frame.
     image: Slot<'f, Gray8>,
 }
 
-/// A source: it is asked for its position when it fails.
+/// A source; its position is saved when it fails.
 pub struct ChaosCamera(Instance);
 
 impl Node for ChaosCamera {

@@ -1,24 +1,24 @@
-//! `chaos_pair`: a well-behaved node that insists on two pictures of one size.
+//! `chaos_pair`: a well-behaved node that requires two frames of one size.
 
 use panoscope_node::{AnyFormat, Context, Gray8, Image, Node, NodeInfo, Open, Ports, Result, Slot, error};
 
-/// Two pictures of the same instant.
+/// Two frames of the same instant.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The one handed on.
+    /// The frame to forward.
     left: Image<'f, Gray8>,
-    /// The one compared with.
+    /// The frame to compare with.
     right: Image<'f, Gray8>,
 }
 
-/// The left picture.
+/// The left frame.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The same buffer as the left input.
     image: Slot<'f, AnyFormat>,
 }
 
-/// Hands the left picture on.
+/// Forwards the left frame.
 pub struct ChaosPair;
 
 impl Node for ChaosPair {

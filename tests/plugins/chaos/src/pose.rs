@@ -1,14 +1,14 @@
-//! `chaos_pose`: small data that may hold NaN.
+//! `chaos_pose`: a small packet that may contain NaN.
 
 use panoscope_node::abi::Pose;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Ports, Result, Slot, name16};
 
 use crate::harm::{Harm, Plan};
 
-/// Anything that gives the time.
+/// Any input; it provides the ticks.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Its ticks are used.
+    /// Provides the ticks.
     image: Image<'f, Gray8>,
 }
 

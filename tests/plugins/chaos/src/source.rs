@@ -9,15 +9,15 @@ const HEIGHT: usize = 24;
 /// 5 ms of media time per frame.
 const FRAME_NS: i64 = 5_000_000;
 
-/// What came of an earlier tick.
+/// Result of an earlier tick.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Not looked at: for graphs in which a source waits for what becomes of its ticks.
+    /// Ignored: for graphs in which a source waits for the results of its ticks.
     #[allow(dead_code, reason = "only that it is there matters")]
     before: Option<AnyImage<'f>>,
 }
 
-/// The picture made.
+/// The frame that is made.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// A gray8 frame of one value: the tick number modulo 256.

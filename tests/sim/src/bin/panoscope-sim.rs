@@ -1,4 +1,4 @@
-//! Runs cases of the simulator: `panoscope-sim SEED`, or `panoscope-sim FROM..TO` (without the last).
+//! Runs cases of the simulator: `panoscope-sim SEED`, or `panoscope-sim FROM..TO` (exclusive).
 
 use std::process::ExitCode;
 use std::time::Instant;

@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use crate::thread;
 
-/// How a disk behaves.
+/// Behaviour of a disk.
 #[derive(Clone, Debug, Default)]
 pub struct Habits {
-    /// Bytes that fit; `None` for no limit.
+    /// Capacity, bytes; `None` for no limit.
     pub capacity_bytes: Option<usize>,
-    /// Time of each operation.
+    /// Duration of each operation.
     pub operation: Duration,
-    /// Each operation of this number, counted from 1, and later fails with an I/O error.
+    /// Number of the first operation that fails with an I/O error, counted from 1; all later ones fail too.
     pub fails_from: Option<u64>,
 }
 
@@ -39,7 +39,7 @@ impl Disk {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits as long as an operation takes, and counts it.
+    /// Waits for the duration of an operation, and counts it.
     fn operation(&self) -> std::io::Result<()> {
         let time = self.state().habits.operation;
         if time.is_zero() {
@@ -55,7 +55,7 @@ impl Disk {
         }
     }
 
-    /// Creates a file, or empties it.
+    /// Creates or truncates a file.
     ///
     /// # Errors
     /// The disk fails.
@@ -67,7 +67,7 @@ impl Disk {
         Ok(File { disk: self.clone(), name: name.to_owned() })
     }
 
-    /// The bytes of a file, as they are.
+    /// The bytes of a file; `None` if it does not exist.
     pub fn read(&self, name: &str) -> Option<Vec<u8>> {
         self.state().files.get(name).cloned()
     }
@@ -85,7 +85,7 @@ pub struct File {
 }
 
 impl File {
-    /// Appends bytes: as many as fit, in pieces as a real disk would.
+    /// Appends bytes: as many as fit, in pieces like a real disk.
     ///
     /// # Errors
     /// The disk is full or fails; a part may have been written.
@@ -104,7 +104,7 @@ impl File {
         Ok(())
     }
 
-    /// Cuts the file to `len` bytes.
+    /// Truncates the file to `len` bytes.
     pub fn cut(&mut self, len: usize) {
         let mut state = self.disk.state();
         if let Some(file) = state.files.get_mut(&self.name) {
@@ -114,12 +114,12 @@ impl File {
         }
     }
 
-    /// Bytes written.
+    /// Length of the file, bytes.
     pub fn len(&self) -> usize {
         self.disk.state().files.get(&self.name).map_or(0, Vec::len)
     }
 
-    /// Whether nothing was written.
+    /// Whether nothing has been written.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

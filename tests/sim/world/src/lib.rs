@@ -1,11 +1,11 @@
-//! A simulated operating system for code that is written for the standard library: threads, locks, condition variables, atomics, clocks
-//! and a disk, with the same names and signatures as in `std`.
+//! A simulated operating system for code written for the standard library: threads, locks, condition variables, atomics, clocks and a disk, with the
+//! same names and signatures as in `std`.
 //!
-//! The threads of a [world](run) are real threads, of which one runs at a time. Wherever a thread locks, waits, reads a clock or touches
-//! an atomic, the world may let another thread run instead; a generator with the world's seed decides which. Time passes only when no
-//! thread can run: then it jumps to the next deadline. So a run is repeated exactly by its seed, and seconds of waiting cost nothing.
+//! The threads of a [world](run) are real threads, of which one runs at a time. Wherever a thread locks, waits, reads a clock or accesses an atomic,
+//! the world may let another thread run instead; a generator with the world's seed decides which. Time passes only when no thread can run: then it
+//! jumps to the next deadline. A run is therefore repeated exactly by its seed, and seconds of waiting cost nothing.
 //!
-//! What is not simulated: the memory model (all atomics are sequentially consistent), and preemption between two operations of this crate.
+//! Not simulated: the memory model (all atomics are sequentially consistent), and preemption between two operations of this crate.
 
 pub mod collections;
 pub mod disk;

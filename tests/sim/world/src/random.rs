@@ -1,4 +1,4 @@
-//! Decisions that follow from a seed.
+//! Decisions derived from a seed.
 
 use panoscope_base::random::SplitMix64;
 
@@ -32,12 +32,12 @@ impl Dice {
         n > 0 && self.0.below(n as usize) == 0
     }
 
-    /// One of these.
+    /// Picks one element.
     pub fn pick<'a, T>(&mut self, of: &'a [T]) -> &'a T {
         &of[self.0.below(of.len())]
     }
 
-    /// A generator for a part of the work, so that one part does not change the decisions of another.
+    /// A separate generator for a part of the work, so that one part does not change the decisions of another.
     pub fn split(&mut self) -> Self {
         Self::new(self.bits())
     }

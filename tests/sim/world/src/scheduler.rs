@@ -8,26 +8,26 @@ use std::thread::JoinHandle;
 
 use crate::random::Dice;
 
-/// How a world behaves.
+/// Settings of a world.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Seed of all decisions.
     pub seed: u64,
-    /// Operations between two decisions about which thread runs, on average.
+    /// Average number of operations between two decisions about which thread runs.
     pub switch_every: u32,
     /// Whether threads have priorities, which change a few times in a run, instead of equal chances (Burckhardt et al., 2010).
     pub priorities: bool,
-    /// One in so many decisions lets the running thread stand still for up to `longest_stall_ns`; 0 for none.
+    /// On average, one in this many decisions stalls the running thread for up to `longest_stall_ns`; 0 for none.
     pub stall_one_in: u32,
-    /// The same for the first thread alone, which changes the others' work.
+    /// The same for the first thread alone, which changes the work of the others.
     pub stall_first_one_in: u32,
-    /// Longest time that a thread stands still.
+    /// Maximum duration of a stall, ns.
     pub longest_stall_ns: u64,
-    /// Longest delay with which a thread wakes after its deadline.
+    /// Maximum delay with which a thread wakes after its deadline, ns.
     pub longest_delay_ns: u64,
-    /// Decisions after which a run counts as endless.
+    /// Number of decisions after which a run counts as endless.
     pub most_decisions: u64,
-    /// Threads that can exist at a time; `None` for no limit.
+    /// Maximum number of threads at a time; `None` for no limit.
     pub most_threads: Option<usize>,
     /// Whether to keep the trace as text, not only its hash.
     pub keep_trace: bool,
@@ -50,7 +50,7 @@ impl Default for Settings {
     }
 }
 
-/// A thread that never ended.
+/// A thread that did not end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
     /// The thread's name.
@@ -59,14 +59,14 @@ pub struct Left {
     pub waits_for: &'static str,
 }
 
-/// Why a run did not come to its end.
+/// Why a run did not end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Trouble {
-    /// All threads wait for each other, the first one among them.
+    /// All threads wait for each other, including the first one.
     Deadlock,
     /// More decisions than [`Settings::most_decisions`].
     Endless,
-    /// The first thread panicked, with these words.
+    /// The first thread panicked, with this message.
     Panic(String),
 }
 
@@ -75,13 +75,13 @@ pub enum Trouble {
 pub struct Ended<R> {
     /// The result of the first thread.
     pub result: Result<R, Trouble>,
-    /// Threads that wait for something that does not come.
+    /// Threads that wait for an event that never occurs.
     pub left: Vec<Left>,
-    /// Simulated time that passed.
+    /// Simulated duration of the run, ns.
     pub simulated_ns: u64,
-    /// Decisions about which thread runs.
+    /// Number of decisions about which thread runs.
     pub decisions: u64,
-    /// Threads that were started.
+    /// Number of threads that were started.
     pub threads: usize,
     /// Hash of all decisions and of everything passed to [`note`].
     pub trace_hash: u64,
@@ -113,7 +113,7 @@ const NEVER_NS: u64 = u64::MAX;
 /// Time at which a world begins.
 const START_NS: u64 = 1_000_000;
 
-/// Lets a thread of the world run.
+/// Signals a thread of the world to run.
 #[derive(Default)]
 struct Baton {
     given: AtomicBool,
@@ -140,12 +140,12 @@ struct Task {
     name: String,
     status: Status,
     baton: Arc<Baton>,
-    /// Whether the last wait ended because of another thread.
+    /// Whether the last wait was ended by another thread.
     notified: bool,
     /// Whether the next park returns at once.
     permit: bool,
     priority: u64,
-    /// Joined by the next thread that runs after it ended, so that its thread-locals are gone by then.
+    /// Joined by the next thread that runs after this one ended, so that its thread-locals are destroyed by then.
     os: Option<JoinHandle<()>>,
 }
 
@@ -160,7 +160,7 @@ struct State {
     decisions: u64,
     trace_hash: u64,
     trace: Vec<String>,
-    /// Set when the first thread ended.
+    /// Set when the first thread has ended.
     first_ended: bool,
     over: Option<Result<(), Trouble>>,
 }
@@ -174,7 +174,7 @@ pub(crate) struct World {
 }
 
 thread_local! {
-    /// The world and number of this thread; constant and without a destructor, so that it can be read while other thread-locals go.
+    /// World and number of this thread; constant and without a destructor, so that it can be read while other thread-locals are destroyed.
     static HERE: Cell<Option<(*const World, usize)>> = const { Cell::new(None) };
 }
 
@@ -193,7 +193,7 @@ pub fn is_inside() -> bool {
     HERE.get().is_some()
 }
 
-/// A place at which another thread may run. Outside a world it does nothing.
+/// A point at which another thread may run. Does nothing outside a world.
 #[inline]
 pub fn point() {
     if let Some((world, me)) = here()
@@ -203,7 +203,7 @@ pub fn point() {
     }
 }
 
-/// Adds words to the trace: what happened must be the same in each run of a seed.
+/// Adds text to the trace: it must be the same in each run of a seed.
 pub fn note(words: impl FnOnce() -> String) {
     if let Some((world, me)) = here() {
         let words = words();
@@ -221,7 +221,7 @@ pub(crate) fn now_ns() -> u64 {
     state.now_ns
 }
 
-/// Lets other threads run that can.
+/// Lets other runnable threads run.
 pub(crate) fn yield_now() {
     if let Some((world, me)) = here() {
         let mut state = lock(&world.state);
@@ -235,7 +235,7 @@ pub(crate) fn yield_now() {
     }
 }
 
-/// Waits for `key`, for `limit_ns` at most. Returns whether another thread ended the wait. May return early if `is_spurious`.
+/// Waits for `key`, at most `limit_ns`. Returns whether another thread ended the wait. May return early if `is_spurious`.
 pub(crate) fn wait_for(key: Key, limit_ns: Option<u64>, what: &'static str, is_spurious: bool) -> bool {
     let Some((world, me)) = here() else { panic!("a thread outside of a simulated world would wait for ever") };
     let mut state = lock(&world.state);
@@ -361,7 +361,7 @@ impl State {
         }
     }
 
-    /// The thread that runs next. Lets time pass if none can run.
+    /// Selects the next thread. Lets time pass if none can run.
     fn choose(&mut self, settings: &Settings) -> Result<usize, Option<Trouble>> {
         loop {
             let mut ready = [0usize; 64];
@@ -396,7 +396,7 @@ impl State {
 }
 
 impl World {
-    /// Decides whether the calling thread goes on.
+    /// Decides whether the calling thread continues.
     #[cold]
     fn decide(&self, me: usize) {
         let mut state = lock(&self.state);
@@ -447,7 +447,7 @@ impl World {
         self.join_ended();
     }
 
-    /// Waits for threads that ended, whose thread-locals may still be going.
+    /// Waits for threads that ended, whose thread-locals may still be being destroyed.
     fn join_ended(&self) {
         let mut state = lock(&self.state);
         if state.ended.is_empty() {
@@ -544,7 +544,7 @@ impl World {
     }
 }
 
-/// Runs `first` as the first thread of a new world, until all threads have ended or none can go on. One world runs at a time.
+/// Runs `first` as the first thread of a new world, until all threads have ended or none can continue. One world runs at a time.
 pub fn run<R: Send + 'static>(settings: Settings, first: impl FnOnce() -> R + Send + 'static) -> Ended<R> {
     static ALONE: Mutex<()> = Mutex::new(());
     let _alone = lock(&ALONE);
@@ -620,7 +620,7 @@ fn words(payload: &(dyn std::any::Any + Send)) -> String {
     text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "without a message".to_owned())
 }
 
-/// Threads that pass a baton on are faster on one processor. The threads that the calling one starts stay there too.
+/// Restricts the calling thread and those that it starts to one processor: passing a baton between threads is faster there.
 fn stay_on_one_processor() {
     // SAFETY: plain system calls on a local set.
     unsafe {

@@ -9,7 +9,7 @@ pub use std::thread::{Result, panicking};
 
 use crate::scheduler::{self, Key, TaskRef};
 
-/// Processors that a simulated machine has.
+/// Number of processors of a simulated machine.
 const PROCESSORS: NonZero<usize> = NonZero::new(4).expect("not 0");
 
 /// As `std::thread::available_parallelism`.
@@ -52,12 +52,12 @@ fn nanoseconds(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX / 2)
 }
 
-/// Waits until another thread unparks this one, or the time is over.
+/// Waits until another thread unparks this one, or for `limit`.
 pub fn park_timeout(limit: Duration) {
     scheduler::park(Some(nanoseconds(limit)));
 }
 
-/// Waits until the time is over.
+/// Waits for `time`.
 pub fn sleep(time: Duration) {
     if scheduler::is_inside() {
         scheduler::wait_for(Key::Sleep, Some(nanoseconds(time)), "time", false);
@@ -96,7 +96,7 @@ impl Builder {
     /// Starts the thread.
     ///
     /// # Errors
-    /// The system gives no thread, or the calling thread belongs to no world.
+    /// The system cannot start a thread, or the calling thread belongs to no world.
     pub fn spawn<T: Send + 'static>(self, work: impl FnOnce() -> T + Send + 'static) -> std::io::Result<JoinHandle<T>> {
         let result = Arc::new(Mutex::new(None));
         let place = Arc::clone(&result);

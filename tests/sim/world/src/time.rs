@@ -6,7 +6,7 @@ pub use std::time::Duration;
 
 use crate::scheduler;
 
-/// Nanoseconds of the world's clock.
+/// Time of the world's clock, ns.
 pub fn now_ns() -> u64 {
     scheduler::now_ns()
 }
@@ -77,7 +77,7 @@ impl Sub for Instant {
     }
 }
 
-/// Wall clock at the time at which a world begins: 2025-01-01.
+/// Wall clock at the start of a world: 2025-01-01.
 const BEGIN: Duration = Duration::from_secs(1_735_689_600);
 
 /// As `std::time::SystemTime`.
@@ -87,7 +87,7 @@ pub struct SystemTime(Duration);
 /// As `std::time::UNIX_EPOCH`.
 pub const UNIX_EPOCH: SystemTime = SystemTime(Duration::ZERO);
 
-/// The second time is later than the first.
+/// The other time is later than this one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemTimeError;
 

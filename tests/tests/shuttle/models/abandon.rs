@@ -11,7 +11,7 @@ use super::thread_id;
 const CALLS: [CallKind; 5] =
     [CallKind::Process, CallKind::Open, CallKind::Process, CallKind::SaveState, CallKind::Process];
 
-/// Makes the calls from `first` on, each at its own time, as a thread with this number. Returns those that ended.
+/// Makes the calls from `first` on, each at a different time, as a thread with this number. Returns those that ended.
 fn run(busy: &Busy, first: usize, number: u32) -> Vec<usize> {
     thread_id::set(number);
     let mut ended = Vec::new();

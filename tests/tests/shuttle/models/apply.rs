@@ -13,7 +13,7 @@ use super::region::{Freed, Region};
 
 const TICKS: u64 = 4;
 
-/// Ticks of unknown light.
+/// A source of ticks of unknown light.
 struct NoSource;
 
 impl Sources for NoSource {
@@ -91,7 +91,7 @@ impl Model {
         }
     }
 
-    /// Delivers ticks that waited, and those that come meanwhile.
+    /// Delivers ticks that waited, and those that arrive meanwhile.
     fn hand_over(&self, mut waited: Vec<Vec<FrameRef>>) {
         while !waited.is_empty() {
             waited.into_iter().for_each(|outputs| self.deliver(outputs));
@@ -99,7 +99,7 @@ impl Model {
         }
     }
 
-    /// One change, as `Engine::apply` makes it. `wait` returns whether the region came to rest; the change is undone otherwise.
+    /// One change, as `Engine::apply` makes it. `wait` returns whether the region came to rest; otherwise the change is undone.
     fn apply(&self) {
         let _change = self.change.lock();
         self.region.pause();

@@ -8,7 +8,7 @@ use shuttle::thread;
 use super::memory::Memory;
 
 const BUFFER_BYTES: usize = 1 << 26;
-/// The largest frame that fits into such a buffer, with room for what marks its end.
+/// The largest frame that fits into such a buffer, with room for its end mark.
 const BYTES: usize = BUFFER_BYTES - 64;
 
 pub fn no_buffer_has_two_owners() {

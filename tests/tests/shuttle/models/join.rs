@@ -9,7 +9,7 @@ use super::join::{Join, Rule, Slot, Take};
 use super::light::{Lights, Sources};
 use super::memory::FrameRef;
 
-/// Ticks of unknown light.
+/// A source of ticks of unknown light.
 struct NoSource;
 
 impl Sources for NoSource {
@@ -26,7 +26,7 @@ impl Sources for NoSource {
     }
 }
 
-/// A node and what it did.
+/// A node and its calls.
 struct Node {
     join: Mutex<Join>,
     runs: AtomicBool,
@@ -109,7 +109,7 @@ pub fn a_node_runs_each_tick_once_and_on_one_thread() {
     assert!(node.join.lock().expect("no panic").is_finished());
 }
 
-/// A change takes the node out of the graph while it may be running.
+/// A change removes the node from the graph while it may be running.
 pub fn a_node_that_was_taken_out_is_not_fired_again() {
     let node = node();
     let feeders = [feed(&node, 0), feed(&node, 1)];

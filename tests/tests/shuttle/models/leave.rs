@@ -15,7 +15,7 @@ struct Node {
     is_over: AtomicBool,
 }
 
-/// The thread of the node: works when woken, leaves when asked to.
+/// The thread of the node: works when woken, leaves on request.
 fn run(node: &Node) {
     node.runner.register_thread();
     assert!(!node.inside.swap(true, Ordering::SeqCst), "two threads run the node");

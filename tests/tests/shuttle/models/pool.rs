@@ -11,13 +11,13 @@ use super::pool::{Pool, Task, Urgency, parallel_for};
 use super::thread_id;
 use crate::shim::thread::{begin, join_all};
 
-/// Time never passes in a model: all waits end by what the threads do.
+/// Time never passes in a model: all waits are ended by the threads.
 fn later() -> Instant {
     Instant::now() + Duration::from_secs(3600)
 }
 
-/// Turns that others get while a model waits. A wait that is over by then is over for good: the model stops the pool before it fails, so that
-/// no worker is cut off.
+/// Number of turns of other threads while a model waits. A wait that is longer has failed: the model stops the pool first, so that no worker is cut
+/// off.
 const TURNS: usize = 2_000;
 
 fn wait_for(condition: impl Fn() -> bool) -> bool {

@@ -8,10 +8,10 @@ use shuttle::thread;
 use super::memory::FrameRef;
 use super::region::{Freed, Region};
 
-/// A source, a leaf and somebody who changes the graph.
+/// A source, a leaf, and a thread that changes the graph.
 struct Model {
     region: Region,
-    /// Ticks delivered and not worked on.
+    /// Ticks delivered but not processed.
     inbox: Mutex<Vec<u64>>,
     delivered: Mutex<Vec<u64>>,
     dropped: AtomicUsize,

@@ -1,4 +1,4 @@
-//! Steady frames take no memory.
+//! Drawing frames allocates nothing after the first one.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! Checks of the whole renderer: exactness against slow and simple yardsticks, equality of all paths.
+//! Tests of the whole renderer: exactness compared with slow and simple references, equality of all code paths.
 
 use panoscope_base::Threads;
 use panoscope_imaging::{Parallel, Serial, View, ViewMut};
@@ -164,8 +164,7 @@ fn warped(right: &View<u8>, x: f32, y: usize, channel: usize) -> f32 {
     (0..4).map(|k| weights[k] * at(k as i64)).sum()
 }
 
-/// Mean absolute difference of the left view and the warped right view where both see, in grey levels, and the
-/// share of such pixels above 8.
+/// Mean absolute difference of the left view and the warped right view where both see, in gray levels, and the share of such pixels above 8.
 fn warp_difference(params: SceneParams) -> (f64, f64) {
     let mut phantom = Phantom::new(params, even_rig(), &Serial).unwrap();
     let pictures = draw(&mut phantom, 50, None, &Serial);

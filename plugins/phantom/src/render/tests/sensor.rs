@@ -1,4 +1,4 @@
-//! What the sensor and the lens do to a picture.
+//! Effects of the sensor and the lens on an image.
 
 use super::*;
 
@@ -77,7 +77,7 @@ fn a_distorted_view_is_the_ideal_one_seen_through_the_lens() {
     check_view_through(fisheye, &|x, y| lens.distort(x, y).into());
 }
 
-/// Compares a view with the one of the pinhole at its place, whose ray `(x, y)` appears at `distort(x, y)`.
+/// Compares a view with that of the pinhole at its position, whose ray `(x, y)` appears at `distort(x, y)`.
 fn check_view_through(camera: CameraModel, distort: &dyn Fn(f64, f64) -> [f64; 2]) {
     let params = SceneParams { specular: 0.0, ..quiet(SceneKind::Board) };
     let mut rig = even_rig();

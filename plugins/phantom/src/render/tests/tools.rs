@@ -1,4 +1,4 @@
-//! Instruments: where the truth says, and by a ray caster that a slow search agrees with.
+//! Instruments: their ground truth, and a ray caster compared with a slow search.
 
 use super::super::solid::{Paint, Part, Solid, add, dot};
 use super::*;

@@ -1,4 +1,4 @@
-//! As `std::sync::atomic`. Each operation is a place at which another thread may run; all are sequentially consistent.
+//! As `std::sync::atomic`. At each operation another thread may run; all are sequentially consistent.
 
 use std::sync::atomic as real;
 
@@ -24,47 +24,47 @@ macro_rules! atomic {
                 Self(real::$name::new(value))
             }
 
-            /// Reads.
+            /// Loads the value.
             #[inline]
             pub fn load(&self, order: Ordering) -> $value {
                 point();
                 self.0.load(order)
             }
 
-            /// Writes.
+            /// Stores a value.
             #[inline]
             pub fn store(&self, value: $value, order: Ordering) {
                 point();
                 self.0.store(value, order);
             }
 
-            /// Writes and returns the value before.
+            /// Stores a value and returns the previous one.
             #[inline]
             pub fn swap(&self, value: $value, order: Ordering) -> $value {
                 point();
                 self.0.swap(value, order)
             }
 
-            /// Writes `new` if the value is `current`.
+            /// Stores `new` if the value is `current`.
             ///
             /// # Errors
-            /// The value that it is instead.
+            /// The actual value.
             #[inline]
             pub fn compare_exchange(&self, current: $value, new: $value, success: Ordering, failure: Ordering) -> Result<$value, $value> {
                 point();
                 self.0.compare_exchange(current, new, success, failure)
             }
 
-            /// As [`Self::compare_exchange`]; never fails without reason here.
+            /// As [`Self::compare_exchange`]; never fails spuriously here.
             ///
             /// # Errors
-            /// The value that it is instead.
+            /// The actual value.
             #[inline]
             pub fn compare_exchange_weak(&self, current: $value, new: $value, success: Ordering, failure: Ordering) -> Result<$value, $value> {
                 self.compare_exchange(current, new, success, failure)
             }
 
-            /// The value, of which this is the only reference.
+            /// The value, through the only reference.
             pub fn get_mut(&mut self) -> &mut $value {
                 self.0.get_mut()
             }
@@ -92,7 +92,7 @@ macro_rules! atomic {
 macro_rules! fetch {
     ($name:ident, $value:ty: $($fetch:ident),*) => {
         impl $name {$(
-            /// Changes the value and returns the one before.
+            /// Changes the value and returns the previous one.
             #[inline]
             pub fn $fetch(&self, value: $value, order: Ordering) -> $value {
                 point();

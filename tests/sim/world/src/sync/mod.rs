@@ -70,7 +70,7 @@ impl<T: ?Sized> Mutex<T> {
         self.guard().map_err(TryLockError::Poisoned)
     }
 
-    /// The value, of which this is the only reference.
+    /// The value, through the only reference.
     pub fn get_mut(&mut self) -> LockResult<&mut T> {
         Ok(self.value.get_mut())
     }
@@ -146,14 +146,14 @@ pub struct Condvar {
 pub struct WaitTimeoutResult(bool);
 
 impl WaitTimeoutResult {
-    /// Whether the wait ended because the time was over.
+    /// Whether the wait ended because of the timeout.
     pub fn timed_out(&self) -> bool {
         self.0
     }
 }
 
 impl Condvar {
-    /// Nobody waits.
+    /// A condition variable without waiting threads.
     pub const fn new() -> Self {
         Self { waiting: AtomicU32::new(0) }
     }
@@ -182,7 +182,7 @@ impl Condvar {
         self.wait_inside(guard, None).0
     }
 
-    /// Waits for a notification or until the time is over.
+    /// Waits for a notification or the timeout.
     pub fn wait_timeout<'a, T>(
         &self,
         guard: MutexGuard<'a, T>,
@@ -196,7 +196,7 @@ impl Condvar {
         }
     }
 
-    /// Ends the wait of one thread.
+    /// Wakes one waiting thread.
     pub fn notify_one(&self) {
         point();
         if self.waiting.load(Ordering::Relaxed) > 0 {
@@ -204,7 +204,7 @@ impl Condvar {
         }
     }
 
-    /// Ends the wait of all threads.
+    /// Wakes all waiting threads.
     pub fn notify_all(&self) {
         point();
         if self.waiting.load(Ordering::Relaxed) > 0 {
@@ -239,7 +239,7 @@ impl<T> OnceLock<T> {
         self.value.set(value)
     }
 
-    /// The value; the first caller makes it.
+    /// The value; the first caller creates it.
     pub fn get_or_init(&self, make: impl FnOnce() -> T) -> &T {
         point();
         if let Some(value) = self.value.get() {
@@ -271,7 +271,7 @@ pub struct LazyLock<T> {
 }
 
 impl<T> LazyLock<T> {
-    /// A value that `make` makes at its first use.
+    /// A value that `make` creates on first use.
     pub const fn new(make: fn() -> T) -> Self {
         Self { cell: OnceLock::new(), make }
     }
