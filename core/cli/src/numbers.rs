@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-/// Why a text is not the required number.
+/// A text that is not the required number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NumberError {
     /// It is not a number.

@@ -1,4 +1,5 @@
-//! `panoscope edit` and `panoscope theatre`: start the editor, a program of its own beside this one, so that the command needs no window system.
+//! `panoscope edit` and `panoscope theatre`: start the editor, a separate program next to this one, so that the command
+//! needs no window system.
 
 use std::path::PathBuf;
 
@@ -22,7 +23,7 @@ pub struct Arguments {
     rest: Vec<String>,
 }
 
-/// Becomes the editor, or with `theatre` the surgeon's window.
+/// Replaces this process by the editor, or with `theatre` the surgeon's window.
 pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
     // The editor offers templates for a file that is to be; it looks after the rest.
     // With --attach the first word may be an option of the window.

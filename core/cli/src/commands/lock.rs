@@ -1,4 +1,5 @@
-//! `panoscope lock`: fingerprints of a graph and of all that its run depends on, signed where wanted, for the theatre to compare.
+//! `panoscope lock`: fingerprints of a graph and of all files that its run depends on, optionally signed, which the
+//! theatre compares.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +23,7 @@ pub struct Arguments {
     graph: Option<PathBuf>,
     #[command(flatten)]
     given: Given,
-    /// Compares with the lock that is there, and writes nothing. Code of a plugin runs only once the plugin was compared.
+    /// Compares with the existing lock and writes nothing. Code of a plugin runs only after the plugin was compared.
     #[arg(long)]
     verify: bool,
     /// Signs the lock with this secret key.

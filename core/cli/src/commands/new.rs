@@ -32,10 +32,10 @@ struct Plugin {
     /// In Python instead of Rust.
     #[arg(long)]
     python: bool,
-    /// Folder to make; without it, the plugin's name.
+    /// Folder to make; default: the plugin's name.
     #[arg(long, value_name = "FOLDER")]
     dir: Option<PathBuf>,
-    /// Folder of Panoscope's own source, for `panoscope-node`; without it, where this program was built.
+    /// Folder of Panoscope's own source, for `panoscope-node`; default: where this program was built.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["c", "python"])]
     source: Option<PathBuf>,
 }
@@ -66,7 +66,7 @@ const PYTHON: &[(&str, &str)] = &[
     ("test_{{lib}}.py", include_str!("../../templates/python/test_NAME.py")),
 ];
 
-/// Names that mean something else to Rust or to cargo.
+/// Names that are reserved by Rust or cargo.
 const TAKEN: &[&str] = &[
     "abstract",
     "as",
@@ -152,7 +152,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
 }
 
-/// What a plugin is written in.
+/// Language of a plugin.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Language {
     Rust,
