@@ -171,7 +171,7 @@ pub struct Tip {
     pub track_id: i64,
 }
 
-/// Packet `pose`: where frame `b` stands in frame `a`.
+/// Packet `pose`: position and orientation of frame `b` in frame `a`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
@@ -214,10 +214,10 @@ pub struct Scalar {
     pub unit: [u8; 16],
 }
 
-/// Name of the output that tells where the links of an arm join, as a table of [`LINK_COLUMNS`].
+/// Name of the output with the positions of an arm's joints, a table of [`LINK_COLUMNS`].
 pub const LINKS: &str = "links";
-/// Columns of a table that tells where the links of an arm join: a row per joint from the base to the camera, in the frame that the `pose` of the
-/// same node is told in.
+/// Columns of a table of joint positions: a row per joint from the base to the camera, in the frame of the same node's
+/// `pose`.
 pub const LINK_COLUMNS: [&str; 3] = ["link_x_mm", "link_y_mm", "link_z_mm"];
 
 /// Opens a `table` packet; then the column text, then `rows * columns` f64 in row order.

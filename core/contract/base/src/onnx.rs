@@ -1,4 +1,5 @@
-//! What a host must know of ONNX without ONNX Runtime: which other files hold the weights of a model, and where the runtime's library is.
+//! Facts about ONNX that need no ONNX Runtime: which other files hold the weights of a model, and where the runtime's
+//! library is.
 //!
 //! Field numbers are those of `onnx.proto3`.
 
@@ -15,13 +16,13 @@ pub const RUNTIME_SONAME: &str = "libonnxruntime.so.1";
 /// Environment variable that names ONNX Runtime's library.
 pub const RUNTIME_VARIABLE: &str = "ORT_DYLIB_PATH";
 
-/// Depth of nested graphs; deeper files are attacks on the reader.
+/// Maximum depth of nested graphs; deeper files are treated as hostile.
 const MAX_DEPTH: usize = 16;
 
 /// Field of a model that holds one file of weights, after all fields of ONNX. Readers of ONNX skip fields that they do not know.
 const BUNDLED: u64 = 52_001;
 
-/// Why bytes are no whole ONNX file.
+/// Bytes that are not a complete ONNX file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{reason} at byte {offset}")]
 pub struct Malformed {
@@ -45,7 +46,7 @@ enum Message {
 }
 
 impl Message {
-    /// Kind of the message in a length-delimited field, where it matters.
+    /// Message type of a length-delimited field; `None` where its content is not read.
     fn child(self, field: u64) -> Option<Self> {
         Some(match (self, field) {
             (Self::Model, 7) => Self::Graph,
@@ -66,7 +67,7 @@ impl Message {
     }
 }
 
-/// One field of a message: its number and, where it is length-delimited, its bytes, or else its value where that is a number.
+/// One field of a message: its number and either its bytes (length-delimited) or its numeric value.
 struct Field {
     number: u64,
     bytes: Option<Range<usize>>,
@@ -103,7 +104,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The field at `at`, which moves behind it.
+    /// Reads the field at `at` and moves `at` past it.
     fn field(&self, at: &mut usize, end: usize) -> Result<Field, Malformed> {
         let tag = self.varint(at, end)?;
         let number = tag >> 3;
@@ -158,7 +159,7 @@ impl<'a> Reader<'a> {
 /// Names of the files that hold weights of a model, as the model gives them: relative to its folder, sorted, each once.
 ///
 /// # Errors
-/// The bytes are no whole ONNX file.
+/// The bytes are not a complete ONNX file.
 pub fn weight_files(model: &[u8]) -> Result<Vec<String>, Malformed> {
     let mut reader = Reader::new(model);
     reader.message(Message::Model, 0..model.len(), 0)?;
@@ -178,7 +179,8 @@ fn push_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// What stands before the `len` bytes of the weight file `name` where it is appended to its model. [`unbundle`] reads the result.
+/// Header in front of the `len` bytes of the weight file `name` that is appended to its model. [`unbundle`] reads the
+/// result.
 pub fn bundle_header(name: &str, len: u64) -> Vec<u8> {
     let mut inner = Vec::new();
     push_varint(&mut inner, 1 << 3 | 2);
@@ -205,7 +207,7 @@ pub struct Bundle {
 /// Finds the weight files that were appended to a model. A plain model has none.
 ///
 /// # Errors
-/// The bytes are no whole sequence of fields.
+/// The bytes are not a complete sequence of fields.
 pub fn unbundle(bytes: &[u8]) -> Result<Bundle, Malformed> {
     let reader = Reader::new(bytes);
     let mut bundle = Bundle { model_len: bytes.len(), weights: Vec::new() };
@@ -238,7 +240,7 @@ pub fn unbundle(bytes: &[u8]) -> Result<Bundle, Malformed> {
     Ok(bundle)
 }
 
-/// Files in `folder` that are ONNX Runtime's library by their name, sorted; links are left out.
+/// Files in `folder` that are named like ONNX Runtime's library, sorted, without symbolic links.
 fn runtimes_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let named = |name: &OsStr| name.to_string_lossy().starts_with("libonnxruntime.so");
@@ -248,7 +250,7 @@ fn runtimes_in(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Files to try as ONNX Runtime, in order: the variable's, or those beside the program and then the system's.
+/// Files to try as ONNX Runtime, in order: the variable's, or those next to the program and then the system's.
 pub fn runtime_candidates() -> Vec<PathBuf> {
     if let Some(named) = std::env::var_os(RUNTIME_VARIABLE).filter(|p| !p.is_empty()) {
         return vec![named.into()];

@@ -1,4 +1,4 @@
-//! How kernels ask for more than one thread, without knowing whose threads they are.
+//! How kernels use several threads without depending on a thread pool.
 
 /// A pool that runs the chunks of a loop.
 ///

@@ -3,8 +3,8 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-/// Environment variable with the file of the program `panoscope`, for a process that runs graphs but is none of the installation's programs, such as
-/// a Python interpreter. Child processes and plugins read it too.
+/// Environment variable with the file of the program `panoscope`, for a process that runs graphs but is not one of the
+/// installation's programs, such as a Python interpreter. Child processes and plugins read it too.
 pub const PROGRAM_VARIABLE: &str = "PANOSCOPE_PROGRAM";
 
 /// Name of the program, and beginning of the names of the others.

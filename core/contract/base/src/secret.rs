@@ -10,13 +10,13 @@ use std::borrow::Cow;
 /// send them to a host of its choice.
 pub const VARIABLE_PREFIX: &str = "PANOSCOPE_SECRET_";
 
-/// Stands for what is not shown.
+/// Replacement for hidden text.
 const HIDDEN: &str = "***";
 
 /// Names of GStreamer properties and of fields of addresses whose values are not shown.
 const SECRET_NAMES: [&str; 6] = ["user-pw", "proxy-pw", "password", "passwd", "passphrase", "access_token"];
 
-/// Why the secret of an address is not there.
+/// A secret in an address cannot be resolved.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SecretError {
     /// No such environment variable.
@@ -24,13 +24,13 @@ pub enum SecretError {
         "the environment variable `{name}`, which an address names, is not set; export it before the program starts"
     )]
     NotSet {
-        /// Its name.
+        /// Name of the variable.
         name: String,
     },
     /// A variable that addresses may not use.
     #[error("an address names the environment variable `{name}`; names of secrets begin with {VARIABLE_PREFIX}")]
     Name {
-        /// Its name.
+        /// Name of the variable.
         name: String,
     },
 }

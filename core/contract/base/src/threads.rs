@@ -29,7 +29,7 @@ struct Job {
 struct State {
     /// Present exactly while a `run` may still hand out chunks.
     job: Option<Job>,
-    /// What the first panic of a body carried.
+    /// Payload of the first panic of a body.
     panic: Option<Box<dyn Any + Send>>,
     stop: bool,
 }
@@ -45,7 +45,7 @@ struct Shared {
     busy: AtomicUsize,
     /// The next chunk to take.
     next: AtomicUsize,
-    /// Chunks of the present loop, 0 without one: what a spinning helper looks at.
+    /// Chunks of the present loop, 0 without one: read by spinning helpers.
     chunks: AtomicUsize,
 }
 

@@ -114,9 +114,10 @@ impl<'f> Context<'f> {
         self.ended.get()
     }
 
-    /// Begins a file that was claimed with [`Open::claim_file`] and returns the path to create. That is `path` itself the first time in a
-    /// run, then, when the node is opened again, `name.part2.ending` and so on, so that written data is never truncated. With
-    /// `may_replace` the file of an earlier run is replaced, unless the host keeps those; otherwise the returned path does not exist yet.
+    /// Begins a file that was claimed with [`Open::claim_file`] and returns the path to create. That is `path` itself
+    /// the first time in a run, then, when the node is opened again, `name.part2.extension` and so on, so that written
+    /// data is never truncated. With `may_replace` the file of an earlier run is replaced, unless the host keeps those;
+    /// otherwise the returned path does not exist yet.
     ///
     /// # Errors
     /// Another node writes this file.
@@ -277,7 +278,7 @@ impl panoscope_base::Report for Open<'_> {
         Open::info(self, message);
     }
 
-    /// A node that opens has no metrics: does nothing.
+    /// Does nothing: a node that opens has no metrics.
     fn metric(&self, _: &str, _: f64) {}
 }
 

@@ -60,7 +60,7 @@ impl fmt::Debug for NodeError {
     }
 }
 
-/// Whether no more can be written until somebody frees or unlocks the disk.
+/// Whether writes fail until the disk is freed or unlocked.
 fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
     use std::io::ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     let kind = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind);

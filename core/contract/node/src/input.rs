@@ -263,8 +263,8 @@ impl<'f> AnyImage<'f> {
     }
 }
 
-/// A picture in colour (BGR) or in gray, as it arrives: for nodes that need little of its gray, or need it seldom. The host makes the gray of an
-/// `Image<'f, Gray8>` whole, in every tick.
+/// An image in colour (BGR) or gray, as it arrives, for nodes that need gray values of few pixels or in few ticks. For
+/// an `Image<'f, Gray8>` the host converts the whole image in every tick.
 #[derive(Clone, Copy)]
 pub struct Picture<'f> {
     frame: &'f abi::Frame,
@@ -342,7 +342,7 @@ impl<P> Drop for Retained<P> {
     }
 }
 
-/// Plain data: a homography, a calibration, a packet of the plugin's own.
+/// Plain data: a homography, a calibration, a plugin's own packet.
 #[derive(Clone, Copy)]
 pub struct Value<'f, T> {
     value: &'f T,

@@ -6,7 +6,8 @@ use crate::abi;
 use crate::error::NodeError;
 use crate::{Node, Params, Ports};
 
-/// The context of one check: takes the problems that the node reports, and gives what the parameters do not, such as the wiring.
+/// The context of one check: takes the problems that the node reports, and provides what the parameters lack, such as
+/// the wiring.
 ///
 /// The check runs when a graph is checked and again when the node is opened; the wiring is known only the first time.
 pub struct Validation<'a> {

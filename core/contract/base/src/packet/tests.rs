@@ -1,4 +1,4 @@
-//! Whole packets, cut packets, and bytes that are none.
+//! Tests with valid, truncated and malformed packets.
 
 use panoscope_abi as abi;
 
@@ -29,7 +29,7 @@ fn detections(masks: bool) -> Vec<u8> {
     bytes
 }
 
-/// Every field of a packet, so that hostile sizes cannot stay unread.
+/// Reads every field of a packet, so that hostile sizes are used.
 fn read_all(bytes: &[u8]) {
     if let Ok(table) = Table::parse(bytes) {
         assert!(table.names().count() == table.columns() || table.names().next().is_none());

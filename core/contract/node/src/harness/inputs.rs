@@ -93,7 +93,7 @@ impl<N> Harness<N> {
         self.accept(name, P::PACKET, 0, P::FORMAT, frame)
     }
 
-    /// Gives an input plain data: a homography, a calibration, a packet of the plugin's own.
+    /// Gives an input plain data: a homography, a calibration, a plugin's own packet.
     pub fn input_value<T: Packet>(&mut self, name: &str, value: T) -> &mut Self {
         self.fill::<T>(name, T::NAME, T::LAYOUT_HASH, |slot| slot.set(value))
     }

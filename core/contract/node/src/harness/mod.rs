@@ -126,7 +126,7 @@ impl Setup {
         Self { batch: true, ..self }
     }
 
-    /// Sets the run that the node belongs to; default is a run of its own.
+    /// Sets the run that the node belongs to; default is a separate run.
     pub fn files(self, files: &Files) -> Self {
         Self { files: files.clone(), ..self }
     }
