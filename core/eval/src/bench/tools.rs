@@ -1,7 +1,7 @@
-//! The detector and the segmenter on one 640x480 picture, beside plain ONNX Runtime in Python on the same models.
+//! The detector and the segmenter on one 640x480 image, compared with plain ONNX Runtime in Python on the same models.
 //!
-//! Ours is the node's own time as the engine counts it: fitting, network, decoding, suppression. Python does the same with NumPy and OpenCV in
-//! the same run, turn about, with as many threads.
+//! Ours is the node's own time measured by the engine: fitting, network, decoding, suppression. Python does the same
+//! with NumPy and OpenCV in the same run, alternating, with as many threads.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,13 +18,13 @@ use crate::session::{Session, note};
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer frames and rounds: a quick look instead of a measurement.
+    /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
-    /// Measures plain ONNX Runtime in Python beside it; without a program `python3`.
+    /// Measures plain ONNX Runtime in Python in addition; default program: `python3`.
     pub python: Option<PathBuf>,
-    /// Detector; else the one that ships.
+    /// Detector; default: the shipped one.
     pub model: Option<PathBuf>,
-    /// Segmenter; else the one that ships.
+    /// Segmenter; default: the shipped one.
     pub masks: Option<PathBuf>,
 }
 

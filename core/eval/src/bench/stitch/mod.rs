@@ -1,11 +1,12 @@
-//! The thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), beside
-//! OpenCV's classes in the same run, turn about.
+//! The thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), compared with OpenCV's
+//! classes in the same run, alternating.
 //!
-//! The pictures are rendered once and then played from memory, one pair after the other, so that nothing but the stitching is at work.
-//! Times are the medians of the nodes' own times, the least of all rounds; stages of one tick follow one another, so they add up.
-//! The seam is what a frame that finds one takes beyond a frame that keeps the one before (OpenCV's composite keeps none: beyond one
-//! that looks for none). Ours finds one every 15th frame: `seam` is its mean per frame,
-//! `seam_found` the time of a frame that finds one, `every_frame` the whole with one in each frame, as the peer has it.
+//! The images are rendered once and then played from memory, one pair after the other, so that only the stitching runs.
+//! Times are the medians of the nodes' own times, the minimum of all rounds; stages of one tick follow one another, so
+//! they add up. The time of the seam is the additional time of a frame that finds one over a frame that keeps the
+//! previous one (OpenCV's composite keeps none: beyond one that looks for none). Ours finds one every 15th frame:
+//! `seam` is its mean per frame, `seam_found` the time of a frame that finds one, `every_frame` the whole with one in
+//! each frame, as the peer has it.
 //!
 //! The peer is OpenCV through the nodes of the plugin `opencv`, not a program of its own: they call the same functions, and the copies
 //! in and out of frames that they add are small beside what those take. `plugins/opencv/tests/reference.cpp` does the same work without
@@ -39,15 +40,15 @@ use times::{Stages, Times};
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer frames and rounds: a quick look instead of a measurement.
+    /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
-    /// Sizes of the pictures, of [`SIZE_NAMES`]; if empty, the usual ones.
+    /// Sizes of the pictures, of [`SIZE_NAMES`]; if empty, the default ones.
     pub sizes: Vec<String>,
     /// PNG file for the time of each frame at 640x480: registration, seam and the whole.
     pub plot: Option<PathBuf>,
 }
 
-/// Stands in the thesis's column of GPU times: nothing here has run on one.
+/// Text in the thesis's column of GPU times, which are not measured.
 const NO_GPU: &str = "no GPU here";
 /// Names of the sizes of pictures.
 pub const SIZE_NAMES: [&str; 3] = ["640x480", "1280x720", "1920x1080"];
@@ -61,7 +62,7 @@ fn run(session: &dyn Session, text: &str, frames: u64, threads: usize, pace: Pac
     Ok(run::run(session, &plan)?.report)
 }
 
-/// Runs one method once. OpenCV brings its own threads: its nodes run on a pool of one.
+/// Runs one method once. OpenCV uses its own threads, so its nodes run on a pool of one.
 fn once(
     session: &dyn Session,
     pairs: &Pairs,
@@ -83,7 +84,8 @@ fn on_the_phantom(method: Method, scope: &str) -> String {
     format!("mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{nodes}{scope}")
 }
 
-/// Tables 4.1 and 4.2: share of frames that are stitched and their alignment, SURF beside the grid, on smooth and on rich tissue.
+/// Tables 4.1 and 4.2: share of frames that are stitched and their alignment, SURF compared with the grid, on smooth
+/// and on rich tissue.
 fn quality(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     const SCENES: [(&str, u32); 4] = [("bowel", 7), ("bowel", 12), ("liver", 7), ("liver", 12)];
     let frames = if quick { 20 } else { 60 };
@@ -119,7 +121,7 @@ fn allocations(session: &dyn Session, method: Method, quick: bool) -> Result<Opt
     Ok(run(session, &text, if quick { 80 } else { 200 }, 2, Pace::Free)?.allocations_per_frame)
 }
 
-/// SURF beside SIFT on one picture, ms per picture.
+/// SURF compared with SIFT on one image, ms per image.
 fn features(session: &dyn Session, pairs: &Pairs, points: u32, quick: bool) -> Result<(f64, f64)> {
     let picture = pairs.first();
     let text = |node: &str| {

@@ -1,4 +1,4 @@
-//! A graph that ships, judged as it is: its own phantom, size, rates and tip; its sinks are removed and a judge is added.
+//! Evaluates a shipped graph with its own phantom, size, rates and tip; its sinks are replaced by an evaluation.
 
 use std::path::{Path, PathBuf};
 
@@ -13,12 +13,13 @@ const PRESETS: [(&str, &str); 4] = [
     ("surgeon", "graphs/surgeon.toml"),
     ("surgeon_sway", "graphs/surgeon.toml"),
 ];
-/// Ending of the scenarios in which the instrument swings slowly and turns about its shaft: from time to time one of its jaws hides the other.
+/// Suffix of the scenarios in which the instrument swings slowly and turns about its shaft: sometimes one of its jaws
+/// hides the other.
 const SWAY: &str = "_sway";
 
-/// A preset made fit for judging.
+/// A preset prepared for evaluation.
 pub struct Preset {
-    /// The graph with a `judge`.
+    /// Text of the graph with a `judge` node.
     pub text: String,
     /// Its file.
     pub path: PathBuf,
@@ -31,7 +32,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
-/// The file of a preset: beside the program when installed, else in the repository.
+/// The file of a preset: next to the program when installed, else in the repository.
 pub fn file(name: &str) -> Option<PathBuf> {
     let (_, file) = PRESETS.iter().find(|(preset, _)| *preset == name)?;
     shipped_file(Path::new(file))
@@ -45,7 +46,7 @@ fn is_type(node: &Value, wanted: &str) -> bool {
 /// Makes a preset of the text of its file.
 ///
 /// # Errors
-/// When the text is no graph, or has not exactly one `phantom`, `arm_sim` and `tip_track` each, or a tip that follows the phantom's truth.
+/// The text is not a graph, or does not have exactly one each of `phantom`, `arm_sim`, `tip_track` and a tip that follows the phantom's ground truth.
 pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
     let mut graph: Table = text.parse().with_context(|| format!("{} is not TOML", path.display()))?;
     graph.remove("preset");

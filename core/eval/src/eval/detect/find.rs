@@ -1,4 +1,4 @@
-//! What a model finds: the real nodes on the real pictures, run by the engine.
+//! Runs a model in its real node on real images.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
 use panoscope_imaging::detect::Find;
 
-/// Which node judges.
+/// Node that runs a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Node {
     /// `yolo`.
@@ -38,13 +38,14 @@ impl Node {
 
 /// Detections of all pictures and the time that they took.
 pub struct Detections {
-    /// Picture by picture; class numbers are those of the truth.
+    /// Per image; class numbers are those of the ground truth.
     pub finds: Vec<Vec<Find>>,
     /// Median time of the node, ms.
     pub ms: f64,
 }
 
-/// Parameters as people measure AP: all but the weakest finds, class by class, a wide net against doubles. `settings` win.
+/// Parameters for measuring AP: all but the weakest detections, per class, with loose suppression. `settings` override
+/// them.
 fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
     // AP ranks every name that is thought possible: `unknown` would take the unsure ones away.
     let own: &[&str] = match node {

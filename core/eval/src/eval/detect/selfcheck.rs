@@ -1,4 +1,4 @@
-//! The same finds judged by `pycocotools`: both must agree to four decimals.
+//! The same detections evaluated by `pycocotools`: both must agree to four decimals.
 
 use std::io::Write;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::inputs::Folder;
 use crate::session::{Session, note};
 use panoscope_imaging::detect::{Find, Mask, Scores, Shape};
 
-/// Reads both files, judges, prints one line of JSON.
+/// Reads both files, evaluates, prints one line of JSON.
 const SCRIPT: &str = r#"
 import contextlib, io, json, sys
 import numpy as np
@@ -83,7 +83,7 @@ fn finds_json(finds: &[Vec<Find>], shape: Shape) -> Value {
     finds.iter().enumerate().flat_map(|(i, list)| list.iter().map(move |f| one(i, f))).collect::<Vec<_>>().into()
 }
 
-/// Masks as run lengths must be packed for `pycocotools`, which its own functions do.
+/// Packs run-length masks with the functions of `pycocotools`.
 const PACK: &str = r#"
 from pycocotools import mask
 for path in (truth, found):
@@ -96,7 +96,8 @@ for path in (truth, found):
     json.dump(held, open(path, "w"))
 "#;
 
-/// Judges the same finds with `pycocotools` of `python` and compares; an error when a figure differs by more than 0.00005.
+/// Evaluates the same detections with `pycocotools` of `python` and compares; an error when a figure differs by more
+/// than 0.00005.
 pub fn compare(
     session: &dyn Session,
     python: &Path,

@@ -14,7 +14,7 @@ use super::tracks::Track;
 use crate::error::{Context, FileAction, OnFile, Result, ensure};
 use crate::session::{Session, check_cancelled};
 
-/// What a report is made of.
+/// Data of a report.
 pub struct SkillStudy {
     pub(super) session: skill::Session,
     pub(super) traces: Vec<Trace>,
@@ -22,9 +22,9 @@ pub struct SkillStudy {
     pub(super) files: Vec<String>,
     /// First and last time, s.
     pub(super) span_s: (f64, f64),
-    /// When phases began, s, and their numbers.
+    /// Start of each phase, s, and its number.
     pub(super) changes: Vec<(f64, usize)>,
-    /// Tips that belong to no tool because there are too many.
+    /// Tips without a tool, because there are too many tools.
     refused: u64,
     settings: Settings,
 }
@@ -53,7 +53,7 @@ impl SkillStudy {
     /// Reads the tracks and measures.
     ///
     /// # Errors
-    /// A file cannot be read or holds no tip, or the session is cancelled.
+    /// A file cannot be read or has no tip, or the session is cancelled.
     pub fn read(session: &dyn Session, options: &Options) -> Result<Self> {
         read(session, options)
     }
@@ -102,7 +102,7 @@ impl SkillStudy {
         }
     }
 
-    /// Touches of a tool that grasps.
+    /// Number of grasps of a tool that grasps, as text.
     pub(super) fn grasps(&self, name: &str, measures: &Measures) -> Option<u64> {
         let name = name.to_lowercase();
         measures.contacts().filter(|_| self.grasping.iter().any(|word| name.contains(word.as_str())))
@@ -152,7 +152,7 @@ impl SkillStudy {
     }
 }
 
-/// A number for people.
+/// A formatted number.
 pub(super) fn shown(value: f64) -> String {
     match value.abs() {
         _ if !value.is_finite() => "-".to_owned(),

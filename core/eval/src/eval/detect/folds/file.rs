@@ -8,20 +8,20 @@ use serde::Deserialize;
 use crate::error::{Context, FileAction, OnFile, Result, bail, ensure};
 use crate::inputs::shipped_file;
 
-/// Where the file of folds that ships stands in the repository.
+/// Path of the shipped file of folds in the repository.
 pub const SHIPPED: &str = "plugins/tools/training/folds.toml";
 
 /// Folds of whole operations.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Folds {
-    /// Folder of the data set, as it is called in the data folders.
+    /// Folder of the data set, name in the data folders.
     pub data: String,
-    /// Splits that together hold all frames.
+    /// Splits that together contain all frames.
     pub splits: Vec<String>,
     /// Numbers in the names of frames per second of video.
     pub frame_rate_hz: f64,
-    /// Longest gap between two frames of one block, s.
+    /// Maximum gap between two frames of one block, s.
     pub block_s: f64,
     /// Operations that each fold keeps out, by the fold's name.
     pub folds: BTreeMap<String, Vec<String>>,
@@ -30,12 +30,12 @@ pub struct Folds {
 }
 
 impl Folds {
-    /// Whether the file that ships is there: installed packages leave the training out.
+    /// Whether the shipped file is present; installed packages do not contain the training.
     pub fn ships() -> bool {
         shipped_file(Path::new(SHIPPED)).is_some()
     }
 
-    /// Reads `path`, or the file that ships.
+    /// Reads `path`, or the shipped file.
     ///
     /// # Errors
     /// The file is missing or damaged, an operation is in two folds, or there is only one fold.
@@ -75,7 +75,7 @@ impl Folds {
         &self.path
     }
 
-    /// The fold that keeps an operation out.
+    /// The fold that holds an operation out.
     pub fn fold_of(&self, operation: &str) -> Option<&str> {
         self.folds.iter().find(|(_, list)| list.iter().any(|o| o == operation)).map(|(fold, _)| fold.as_str())
     }

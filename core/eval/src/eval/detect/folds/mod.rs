@@ -25,7 +25,7 @@ pub struct Options {
     pub predictions: PathBuf,
     /// A second folder of that kind, with which the first one is compared frame by frame.
     pub beside: Option<PathBuf>,
-    /// File of folds; else the one that ships.
+    /// File of folds; default: the shipped one.
     pub fold_file: Option<PathBuf>,
     /// Only these folds, without a mean and a worst one; if empty, all.
     pub only: Vec<String>,
@@ -37,7 +37,7 @@ pub struct Options {
     pub pictures: Option<PathBuf>,
     /// File for the calibration of a model that is exported.
     pub calibration: Option<PathBuf>,
-    /// Share of right boxes, 0 to 1, that the limits of the classes in that file hold.
+    /// Precision, 0 to 1, that the limits of the classes in that file guarantee.
     pub precision: f64,
 }
 
@@ -65,7 +65,7 @@ struct Fold {
     scores: Scores,
     /// COCO's AP at 0.5 per resample and class.
     samples: Vec<Vec<f64>>,
-    /// The same of the folder that it is compared with, on the same resamples, and its scores.
+    /// Scores and resamples of the compared folder, on the same resamples.
     beside: Option<(Scores, Vec<Vec<f64>>)>,
     /// Boxes with their scores, for the calibration.
     boxes: Vec<calibrate::Sample>,
@@ -139,14 +139,14 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     Ok(Fold { name: name.to_owned(), frames, blocks: blocks.len(), scores, samples, beside, boxes })
 }
 
-/// What 95 % of the resamples of average precisions at 0.5 lie between, and of their mean.
+/// 95 % intervals of the resampled average precisions at 0.5, and of their mean.
 pub(super) struct Bounds {
     pub classes: Vec<[f64; 2]>,
     pub mean: [f64; 2],
 }
 
-/// Bounds for frames of the data set of the file of folds that ships, drawn from its blocks; none, with a note, where that file is not installed.
-/// `objects` are those of `truth`, picture by picture.
+/// Bounds for frames of the data set of the shipped file of folds, drawn from its blocks; `None`, with a note, if that
+/// file is not installed. `objects` are those of `truth`, picture by picture.
 ///
 /// # Errors
 /// The file is damaged, or a picture is not named like one of the data set.
@@ -178,7 +178,7 @@ fn draw(folder: &Path, name: &str, truth: &Truth, finds: &[Vec<Find>], scores: &
     picture::sheet(&file("misses"), truth, finds, Shape::Box, false)
 }
 
-/// Mean over the classes that have truth, per resample.
+/// Mean over the classes with ground truth, per resample.
 fn means(samples: &[Vec<f64>]) -> Vec<f64> {
     samples.iter().map(|classes| mean(classes.iter().copied())).collect()
 }
@@ -191,7 +191,7 @@ pub(super) fn words(value: f64, [low, high]: [f64; 2]) -> String {
     format!("{:.1} ({:.1} to {:.1})", 100.0 * value, 100.0 * low, 100.0 * high)
 }
 
-/// What is reported of the folds together: a value of a set of figures, one per fold.
+/// Aggregates the figures of all folds to one value.
 type Pick = fn(&[f64]) -> f64;
 const TOGETHER: [(&str, Pick); 2] =
     [("mean", |v| mean(v.iter().copied())), ("worst", |v| v.iter().copied().fold(f64::NAN, f64::min))];
@@ -309,7 +309,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// What the figures are about.
+/// Input of the figures.
 fn input_of(folds: &[Fold], options: &Options) -> String {
     format!(
         "{}, {} frames in {} blocks",

@@ -1,9 +1,9 @@
-//! What a detector found in the operations that its training kept out, as the training script stores it.
+//! Detections in the held-out operations, in the format of the training script.
 //!
-//! `foldN.json` of a folder: `{"format": "panoscope-predictions-1", "fold": "N", "held_out": [operations], "trained_on": [operations],
-//! "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0, y0, x1, y1, objectness], ...], ...}}`. Class is an
-//! index into `classes`, score 0..1, boxes in px of the stored picture; objectness, 0..1, may be missing. Each frame of the held-out operations
-//! is there.
+//! `foldN.json` of a folder: `{"format": "panoscope-predictions-1", "fold": "N", "held_out": [operations],
+//! "trained_on": [operations], "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0,
+//! y0, x1, y1, objectness], ...], ...}}`. Class is an index into `classes`, score 0..1, boxes in px of the stored
+//! picture; objectness, 0..1, may be missing. Each frame of the held-out operations is there.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,12 +27,12 @@ struct File {
     frames: BTreeMap<String, Vec<Vec<f64>>>,
 }
 
-/// What a file holds, picture by picture.
+/// Content of a file, per image.
 #[derive(Clone, Debug)]
 pub struct Predicted {
-    /// Finds; class numbers are those of the truth.
+    /// Finds; class numbers are those of the ground truth.
     pub finds: Vec<Vec<Find>>,
-    /// Probability that something is there at all, as the network gives it, for each find; NaN where it was not stored.
+    /// Objectness of each find by the network; NaN if it was not stored.
     pub objectness: Vec<Vec<f64>>,
 }
 
@@ -41,11 +41,11 @@ pub fn path_of(folder: &Path, fold: &str) -> PathBuf {
     folder.join(format!("fold{fold}.json"))
 }
 
-/// What was found in the pictures of `truth`, which are those of `fold`.
+/// Reads the detections in the images of `truth`, which are those of `fold`.
 ///
 /// # Errors
 /// The file is missing or damaged, belongs to another fold or to other folds, comes from a training that saw one of the operations,
-/// names a class that the truth does not have, or holds other frames than those of the fold.
+/// names a class that the ground truth does not have, or has other frames than the fold.
 pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<Predicted> {
     let path = path_of(folder, fold);
     let file = path.display();
@@ -104,7 +104,7 @@ pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<P
     Ok(Predicted { finds, objectness })
 }
 
-/// The training kept out what the file of folds says, and saw nothing of it.
+/// Checks that the training held out the operations of the file of folds.
 fn check_operations(stored: &File, folds: &Folds, fold: &str, path: &Path) -> Result<()> {
     let file = path.display();
     let sorted = |list: &[String]| {

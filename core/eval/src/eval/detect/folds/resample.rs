@@ -1,9 +1,10 @@
 //! Intervals by the bootstrap (Efron and Tibshirani 1993, chapter 13), drawn from blocks of frames.
 //!
-//! Frames that follow each other within seconds show the same instruments in nearly the same place and light, so that drawing single frames would
-//! give intervals that are several times too narrow (Künsch 1989). Frames of one operation are therefore drawn in blocks, whole runs of
-//! frames without a longer gap, each operation as many blocks as it has. Operations are not drawn: three are too few. The intervals say how
-//! far chance in the choice of frames moves a figure, not how different the next operation may be.
+//! Frames that follow each other within seconds show the same instruments in nearly the same position and light, so
+//! that drawing single frames would give intervals several times too narrow (Künsch 1989). Frames of one operation are
+//! therefore drawn in blocks, whole runs of frames without a longer gap, each operation as many blocks as it has.
+//! Operations are not drawn, because three are too few. The intervals show the effect of the random choice of frames,
+//! not the difference of another operation.
 
 use panoscope_base::random::SplitMix64;
 
@@ -55,12 +56,12 @@ impl Blocks {
         Ok(Self(operations))
     }
 
-    /// How many blocks there are.
+    /// Number of blocks.
     pub fn len(&self) -> usize {
         self.0.iter().map(Vec::len).sum()
     }
 
-    /// How often each of `pictures` pictures is drawn.
+    /// Number of times that each of `pictures` images is drawn.
     fn draw(&self, random: &mut SplitMix64, pictures: usize) -> Vec<u32> {
         let mut times = vec![0; pictures];
         for blocks in &self.0 {
@@ -82,7 +83,7 @@ pub fn resampled(rankings: &[Ranking], blocks: &Blocks, pictures: usize, seed: u
     rankings.iter().map(of).collect()
 }
 
-/// Bounds that 95 % of `values` lie between; NaN without a finite value.
+/// 95 % interval of `values`; NaN without a finite value.
 pub fn interval(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let values: Vec<f64> = values.collect();
     [percentile(&values, 0.025), percentile(&values, 0.975)]

@@ -33,12 +33,12 @@ struct Category {
     name: String,
 }
 
-/// An annotation, of the truth or as the node `write_table` writes what was found.
+/// An annotation, of the ground truth, or of detections written by the node `write_table`.
 #[derive(Deserialize)]
 pub struct Annotation {
-    /// Picture.
+    /// Number of the image.
     pub image_id: u64,
-    /// Class.
+    /// Number of the class.
     pub category_id: u64,
     /// Left, top, width, height.
     pub bbox: [f64; 4],
@@ -85,7 +85,7 @@ impl Segmentation {
     }
 }
 
-/// What a file of found boxes holds: per picture id its annotations, and the class names by id.
+/// Content of a file of found boxes: per image id its annotations, and the class names by id.
 pub struct FoundFile {
     /// By picture.
     pub by_image: BTreeMap<u64, Vec<Annotation>>,

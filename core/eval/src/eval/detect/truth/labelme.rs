@@ -1,4 +1,4 @@
-//! labelme: one JSON file a picture, with polygons. Polygons of one label and one `group_id` are one object.
+//! labelme: one JSON file per image, with polygons. Polygons of one label and one `group_id` are one object.
 
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,7 @@ struct Shape {
     shape_type: String,
 }
 
-/// The picture that a file speaks of: as it names it, or of its own name in the folders nearby.
+/// The image of a file: by the path in it, or by the file's own name in nearby folders.
 fn picture_of(file: &Path, named: &str, images: Option<&Path>) -> Option<PathBuf> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let stem = file.file_stem()?.to_string_lossy().into_owned();

@@ -1,4 +1,4 @@
-//! True boxes and outlines from the forms that people keep them in: VOC XML, COCO JSON, labelme JSON, VIA JSON, YOLO text.
+//! True boxes and outlines in common formats: VOC XML, COCO JSON, labelme JSON, VIA JSON, YOLO text.
 
 mod coco;
 mod labelme;
@@ -16,7 +16,7 @@ use crate::session::Session;
 pub use coco::read_found;
 pub use panoscope_imaging::detect::normal_name;
 
-/// A picture with what is in it.
+/// An image with its objects.
 #[derive(Clone, Debug)]
 pub struct Picture {
     /// The file.
@@ -25,17 +25,17 @@ pub struct Picture {
     pub width: usize,
     /// Rows of the picture.
     pub height: usize,
-    /// What is in it.
+    /// Objects in the image.
     pub objects: Vec<Object>,
 }
 
 impl Picture {
-    /// Name without folder and ending.
+    /// Name without folder and extension.
     pub fn stem(&self) -> String {
         self.path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned())
     }
 
-    /// The operation it comes from: what stands before the last underscore of its name, `v02` of `v02_001250`.
+    /// The operation it comes from: the text before the last underscore of its name, `v02` of `v02_001250`.
     pub fn operation(&self) -> String {
         let stem = self.stem();
         stem.rsplit_once('_').map_or(stem.clone(), |(operation, _)| operation.to_owned())
@@ -61,7 +61,7 @@ impl Truth {
         })
     }
 
-    /// Absolute paths of the pictures, a line each, as `capture` takes them.
+    /// Absolute paths of the pictures, one per line, as `capture` accepts them.
     pub fn file_list(&self) -> String {
         let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
         self.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect()
@@ -78,7 +78,7 @@ impl Truth {
         Self { classes: self.classes.clone(), pictures: self.pictures.iter().filter(wanted).cloned().collect() }
     }
 
-    /// Classes in an order of their own: `order` first, as far as they are there or wanted, then the others by name.
+    /// Reorders the classes: those in `order` first, if present, then the others by name.
     pub fn ordered(mut self, order: &[String]) -> Self {
         let mut classes: Vec<String> = order.iter().map(|name| normal_name(name)).collect();
         let mut others: Vec<String> = self.classes.iter().filter(|c| !classes.contains(c)).cloned().collect();
@@ -102,7 +102,7 @@ fn size_of(path: &Path) -> Result<(usize, usize)> {
     Ok((w as usize, h as usize))
 }
 
-/// Pixels of the largest picture: a mask has a bit for each.
+/// Maximum number of pixels of an image; a mask has a bit for each.
 const MAX_PIXELS: u64 = 1 << 28;
 
 const PICTURES: [&str; 5] = ["jpg", "jpeg", "png", "JPG", "PNG"];
@@ -113,7 +113,7 @@ fn picture_called(folders: &[PathBuf], stem: &str) -> Option<PathBuf> {
     all.into_iter().find(|p| p.is_file())
 }
 
-/// Files of a folder with one of these endings, by name.
+/// Files of a folder with one of these extensions, by name.
 fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let has = |p: &PathBuf| p.extension().is_some_and(|e| endings.iter().any(|w| e.eq_ignore_ascii_case(w)));
@@ -132,7 +132,7 @@ fn one_file(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     }
 }
 
-/// The COCO or VIA file of a folder: as COCO, Roboflow, CVAT and `eval` itself call it.
+/// The COCO or VIA file of a folder: under the names of COCO, Roboflow, CVAT and `eval` itself.
 fn file_in(folder: &Path, split: Option<&str>) -> Option<PathBuf> {
     let names = match split {
         Some(s) => vec![
@@ -149,7 +149,7 @@ fn file_in(folder: &Path, split: Option<&str>) -> Option<PathBuf> {
     names.iter().map(|name| folder.join(name)).find(|file| file.is_file())
 }
 
-/// Reads whichever form `path` is or holds. `split` chooses a list of VOC, COCO or YOLO; nothing takes all.
+/// Reads `path` in any of the formats. `split` selects a list of VOC, COCO or YOLO; `None` for all.
 ///
 /// # Errors
 /// There is no ground truth, it is damaged, or it has no picture or no object at all.
@@ -198,7 +198,7 @@ fn read_any(session: &dyn Session, path: &Path, split: Option<&str>, images: Opt
     )
 }
 
-/// An object from an outline; `None` when the outline holds no pixel.
+/// An object from an outline; `None` if the outline has no pixel.
 fn outlined(class: usize, mask: Mask, ignored: bool) -> Option<Object> {
     (mask.area > 0).then(|| Object { class, bbox: mask.bounds(), mask: Some(mask), ignored })
 }

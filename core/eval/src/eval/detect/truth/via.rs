@@ -1,7 +1,9 @@
-//! VIA, the VGG Image Annotator (Dutta and Zisserman 2019): one JSON file for all pictures, with polygons, polylines, rectangles, circles and ellipses.
+//! VIA, the VGG Image Annotator (Dutta and Zisserman 2019): one JSON file for all pictures, with polygons, polylines,
+//! rectangles, circles and ellipses.
 //!
-//! Read as version 2 saves projects (`_via_img_metadata`) and exports annotations (regions are a list), and as version 1 exports them (regions are a map
-//! with numbers for keys). The class is what the only region attribute says, or the one called `class`, `label`, `name`, `type`, `tool` or `instrument`.
+//! Reads projects of version 2 (`_via_img_metadata`) and exported annotations (regions are a list), and exports of
+//! version 1 (regions are a map with numbers as keys). The class is the value of the only region attribute, or of the
+//! one called `class`, `label`, `name`, `type`, `tool` or `instrument`.
 
 use std::path::Path;
 
@@ -12,7 +14,7 @@ use crate::error::{Context, Result, bail};
 use panoscope_imaging::detect::Mask;
 
 const PROJECT: &str = "_via_img_metadata";
-/// Attributes that name a class where a region has several.
+/// Attributes that name a class if a region has several.
 const CLASS: [&str; 6] = ["class", "label", "name", "type", "tool", "instrument"];
 /// Corners that circles and ellipses are drawn with.
 const ROUND: usize = 96;
@@ -27,10 +29,11 @@ pub fn pictures(value: &Value) -> Option<&Map<String, Value>> {
     (!map.is_empty() && map.values().all(is_picture)).then_some(map)
 }
 
-/// Reads the pictures of `path`, which lie in `folder` or in `images` in it. Each error names the file, the picture and the region, counted from 1.
+/// Reads the pictures of `path`, which lie in `folder` or in `images` in it. Each error names the file, the picture and
+/// the region, counted from 1.
 ///
 /// # Errors
-/// A picture that is not there, a region of an unknown or damaged shape, or without a class.
+/// An image is missing, a region of an unknown or damaged shape, or without a class.
 pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result<Truth> {
     let mut truth = Truth::default();
     for (key, entry) in pictures {

@@ -1,4 +1,4 @@
-//! VOC: one XML file a picture, lists of names in `ImageSets`.
+//! VOC: one XML file per image, lists of names in `ImageSets`.
 
 use std::path::Path;
 
