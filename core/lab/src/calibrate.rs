@@ -18,7 +18,7 @@ pub struct Arguments {
     /// --graph a port such as scope.left.
     #[arg(long, value_name = "FILES|PORT")]
     left: String,
-    /// The same for the right views.
+    /// Right views, in the same forms.
     #[arg(long, value_name = "FILES|PORT")]
     right: String,
     /// Takes the views from the ports of this graph.
@@ -38,13 +38,13 @@ pub struct Arguments {
     /// of a fisheye).
     #[arg(long, default_value = "standard", value_parser = ["radial", "standard", "full", "rational", "equidistant"])]
     model: String,
-    /// Pairs that are looked at; of a video, a camera or a live graph 300 unless given.
+    /// Maximum number of pairs; default for a video, a camera or a live graph: 300.
     #[arg(long, value_parser = clap::value_parser!(u64).range(5..))]
     frames: Option<u64>,
-    /// Keeps views whose error stands out.
+    /// Keeps views with outlying errors.
     #[arg(long)]
     keep_all: bool,
-    /// Whose steps are taken: own, or sample, those of OpenCV's sample stereo_calib with all views and its model.
+    /// Method: own, or sample for the steps of OpenCV's sample stereo_calib with all views and its model.
     #[arg(long, default_value = "own", value_parser = ["own", "sample"])]
     method: String,
 }

@@ -7,10 +7,10 @@ use panoscope_eval::eval::arm::{self, Options};
 /// Arguments of `eval arm`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Only these parts; may be given again. Without it all.
+    /// Parts to run; repeatable. Default: all.
     #[arg(long, value_parser = arm::PARTS)]
     part: Vec<String>,
-    /// Only these scenarios; may be given again. Without it all.
+    /// Scenarios to run; repeatable. Default: all.
     #[arg(long)]
     scenario: Vec<String>,
     /// Length of each run, s of media time.
@@ -34,7 +34,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { part, scenario, seconds, width, cases, seed, pictures, .. } = self;
         Options {

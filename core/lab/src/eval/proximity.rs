@@ -7,10 +7,10 @@ use panoscope_eval::eval::proximity::{self, Options};
 /// Arguments of `eval proximity`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Only these ways to know depth and instruments; may be given again. Without it all.
+    /// Sources of depth and instruments; repeatable. Default: all.
     #[arg(long, value_parser = proximity::CHAINS)]
     chain: Vec<String>,
-    /// Only these scenes; may be given again. Without it both.
+    /// Scenes to run; repeatable. Default: both.
     #[arg(long, value_parser = proximity::SCENES)]
     scene: Vec<String>,
     /// Length of each run, s of media time.
@@ -31,7 +31,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { chain, scene, seconds, width, distance_mm, seed, .. } = self;
         Options {

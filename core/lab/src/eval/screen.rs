@@ -17,7 +17,7 @@ pub struct Arguments {
     /// Folder for the screen of each picture, as PNG.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// Sets a parameter; wins over the file. May be given again.
+    /// Sets a parameter; overrides the file; repeatable.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
@@ -28,7 +28,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         Options {
             graph: self.graph.clone(),
