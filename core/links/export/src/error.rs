@@ -1,17 +1,17 @@
-//! Why a recording was not exported.
+//! Errors of exports.
 
 use std::path::PathBuf;
 
 use panoscope_base::packet::PacketError;
 use panoscope_record::RecordingError;
 
-/// Why the bytes of a packet are no value of its type.
+/// Bytes that are not a valid packet of their type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ValueError {
     /// A packet of the contract that is damaged.
     #[error(transparent)]
     Packet(#[from] PacketError),
-    /// A picture whose rows do not fit its bytes.
+    /// An image whose rows do not fit its bytes.
     #[error("a picture of {width}x{height} {format} with {stride_bytes} bytes a row does not fit {len} bytes")]
     Picture {
         /// Columns.
@@ -22,7 +22,7 @@ pub enum ValueError {
         format: &'static str,
         /// Bytes from one row to the next.
         stride_bytes: u32,
-        /// Bytes that are there.
+        /// Actual number of bytes.
         len: usize,
     },
     /// A text that is not UTF-8.
@@ -30,7 +30,7 @@ pub enum ValueError {
     Text,
 }
 
-/// Why a recording was not exported, or not to its end.
+/// A recording that was not exported, or not completely.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     /// A port that is not in the recording.
@@ -38,7 +38,7 @@ pub enum ExportError {
     NoPort {
         /// The recording.
         file: PathBuf,
-        /// What was asked for.
+        /// Requested port.
         port: String,
         /// The ports that it has.
         known: String,
@@ -59,13 +59,13 @@ pub enum ExportError {
         /// The recording.
         file: PathBuf,
     },
-    /// Something is there already.
+    /// The output exists already.
     #[error("{} exists: name another one, or replace it with --force", .path.display())]
     Exists {
         /// The file or folder.
         path: PathBuf,
     },
-    /// The recording would be replaced.
+    /// The output is the recording itself.
     #[error("{} is the recording itself: name another file", .path.display())]
     IsRecording {
         /// The file.
@@ -82,7 +82,7 @@ pub enum ExportError {
     /// The recording is damaged.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A packet that is not what its type says.
+    /// A packet that does not match its type.
     #[error("packet {tick} of `{port}`: {cause}; record again with the plugins of this installation")]
     Value {
         /// The port.

@@ -35,7 +35,7 @@ impl From<&abi::Frame> for Layout {
     }
 }
 
-/// What the packets of a port hold.
+/// Kind of the packets of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Pixels: images, masks, disparity, depth, confidence.
@@ -112,7 +112,7 @@ pub enum Value<'b> {
     Roi(abi::Roi),
     /// Two cameras.
     Calibration(Box<abi::Calibration>),
-    /// Boxes; with masks where the packet is `instances`.
+    /// Boxes; with masks if the packet is `instances`.
     Detections(Detections<'b>),
     /// Tip of a tool.
     Tip(abi::Tip),
@@ -129,10 +129,9 @@ pub enum Value<'b> {
 }
 
 impl<'b> Value<'b> {
-    /// The value of a packet that has these bytes.
+    /// Decodes the value of a packet.
     ///
-    /// # Errors
-    /// The bytes are no packet of that kind.
+    /// # Errors The bytes are not a packet of that kind.
     pub fn read(kind: Kind, layout: impl Into<Layout>, bytes: &'b [u8]) -> Result<Self, ValueError> {
         let layout = layout.into();
         Ok(match kind {
@@ -198,8 +197,8 @@ impl Picture {
         Ok(Self { format: id, width: columns, height: rows, samples })
     }
 
-    /// Which box of a list of instances each pixel belongs to: 0 for none, 1 for the first one. Later boxes cover earlier ones. `None` without
-    /// masks.
+    /// An image with the number of the instance of each pixel: 0 for none, 1 for the first one. Later boxes cover
+    /// earlier ones. `None` without masks.
     pub fn of_masks(instances: &Detections<'_>) -> Option<Self> {
         // Nothing but masks vouches for the size of the image.
         if instances.mask(0).is_empty() {

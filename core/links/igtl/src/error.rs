@@ -1,4 +1,4 @@
-//! Why bytes are no message, or a message cannot be written.
+//! Errors of this crate.
 
 /// Why bytes are no message, or a message cannot be written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -9,7 +9,7 @@ pub enum IgtlError {
         "header version {version} is unknown (1, 2 and 3 are): the peer speaks another protocol, or the stream is out of step"
     )]
     Version {
-        /// The number in the header.
+        /// Version in the header.
         version: u16,
     },
     /// The type name in the header is empty or not printable ASCII.
@@ -54,7 +54,7 @@ pub enum IgtlError {
         kind: &'static str,
         /// Length of the content.
         bytes: usize,
-        /// Lengths that are right, in words.
+        /// Description of the valid lengths.
         expected: String,
     },
     /// A field has a value that it must not have.
@@ -66,7 +66,7 @@ pub enum IgtlError {
         field: &'static str,
         /// Its value.
         value: u64,
-        /// What is right.
+        /// Description of the valid values.
         expected: &'static str,
     },
     /// A text is longer than its field.
@@ -81,14 +81,14 @@ pub enum IgtlError {
         /// Length of the field.
         limit: usize,
     },
-    /// There are more entries than a count can say.
+    /// There are more entries than the count field can hold.
     #[error("{count} {what} are too many for one message ({limit} are the most)")]
     TooMany {
-        /// What there are too many of.
+        /// Kind of the entries.
         what: &'static str,
-        /// How many.
+        /// Number of entries.
         count: usize,
-        /// The most.
+        /// Maximum number of entries.
         limit: usize,
     },
 }

@@ -25,7 +25,7 @@ pub struct Parts<'a> {
     pub metadata: Vec<Entry<'a>>,
 }
 
-/// Takes the body of a message of version 2 or 3 apart.
+/// Splits the body of a message of version 2 or 3.
 pub fn split(body: &[u8]) -> Result<Parts<'_>> {
     let mut fields = Fields::new(KIND, body);
     let extended = fields.u16("extended header")?;

@@ -1,4 +1,4 @@
-//! Packets to pictures: a decoder of H.264 that is called like a function.
+//! An H.264 decoder with a synchronous interface.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -21,13 +21,13 @@ struct Collected {
     pictures: Vec<Buffer>,
 }
 
-/// Decodes H.264 with start codes, without pictures that wait for later ones, in the thread of the caller: a picture is there when
+/// Decodes H.264 with start codes, without reordered images, in the thread of the caller: the image is complete when
 /// [`Decoder::decode`] returns.
 pub struct Decoder {
     pipeline: Pipeline,
     bus: Bus,
     source: Pad,
-    /// Takes the pictures; a link does not keep a pad alive.
+    /// Receives the images; kept here because a link does not keep a pad alive.
     sink: Pad,
     packets: u64,
     collected: Arc<Mutex<Collected>>,
@@ -142,7 +142,7 @@ impl Decoder {
         Ok(())
     }
 
-    /// What the element reported, or `otherwise`.
+    /// The error that the element reported, or `otherwise`.
     fn error(&self, otherwise: &str) -> MediaError {
         let reported = self.bus.iter().find_map(|message| match message.view() {
             MessageView::Error(error) => Some(MediaError::from(error)),

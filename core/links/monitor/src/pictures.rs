@@ -21,7 +21,7 @@ pub struct Shown {
     pub output: String,
     /// Type of its packets.
     pub packet: String,
-    /// Words beside it.
+    /// Label next to it.
     pub label: String,
 }
 
@@ -32,7 +32,7 @@ impl Shown {
     }
 }
 
-/// The views of the graph's preset that have a picture; without one, what its sinks receive.
+/// The views of the graph's preset that can be drawn; without a preset, the inputs of its sinks.
 pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
     let type_of = |node: usize| graph.nodes[node].node_type(catalog);
     let has_picture = |node: usize, port: usize| {
@@ -60,7 +60,7 @@ pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
     all
 }
 
-/// Why there is no picture of an output.
+/// An output without an image.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The output made no packet yet.
@@ -76,7 +76,7 @@ pub enum PictureError {
         /// Name of the format.
         format: &'static str,
     },
-    /// Packets of its format have no picture.
+    /// Packets of its format cannot be drawn.
     #[error("{format} has no picture")]
     Format {
         /// Name of the format.
@@ -90,7 +90,7 @@ pub enum PictureError {
     },
 }
 
-/// A packet of a type as JPEG. `range`: of the colours of a map, from picture to picture.
+/// A packet of a type as JPEG. `range` of the colours of a map is kept from image to image.
 pub fn jpeg(frame: &FrameRef, packet: &str, range: &mut Range) -> Result<Vec<u8>, PictureError> {
     let head = frame.frame();
     let name = format::name(head.format);

@@ -3,10 +3,10 @@
 use byteorder::{BigEndian, LittleEndian};
 use serde::{Deserialize, Serialize};
 
-/// Before little-endian CDR.
+/// Header of little-endian CDR.
 const LITTLE: [u8; 4] = [0, 1, 0, 0];
 
-/// Why bytes are no message of a type.
+/// Bytes that are not a message of a type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     /// Shorter than the head.
@@ -15,7 +15,7 @@ pub enum CdrError {
         /// Its length.
         len: usize,
     },
-    /// Another encoding than CDR, such as XCDR2.
+    /// An encoding other than CDR, such as XCDR2.
     #[error("a message is encoded as {number:#06x}, which is not CDR")]
     Encoding {
         /// The encoding's number.
@@ -44,7 +44,7 @@ pub trait Message {
     /// Name of the type, such as `sensor_msgs/msg/Image`.
     const TYPE: &'static str;
 
-    /// Bytes that the message takes, about: an encoder's first guess.
+    /// Approximate encoded size in bytes, for allocation.
     fn size_hint(&self) -> usize {
         256
     }
@@ -79,7 +79,7 @@ pub fn decode<'b, M: Message + Deserialize<'b>>(bytes: &'b [u8]) -> Result<M, Cd
     decode_body(u16::from_be_bytes([head[0], head[1]]), body)
 }
 
-/// Decodes the fields of a message whose head has this number.
+/// Decodes the fields of a message whose head has this encoding number.
 ///
 /// # Errors
 /// As [`decode`].

@@ -1,4 +1,4 @@
-//! The texts that describe messages to readers of bags: `ros2msg`, with all types that a message is made of.
+//! The texts that describe messages to readers of bags: `ros2msg`, with all nested types.
 
 use std::collections::BTreeSet;
 

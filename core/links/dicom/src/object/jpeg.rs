@@ -1,6 +1,6 @@
 //! The head of a JPEG file.
 
-/// What a JPEG file holds.
+/// Properties of a JPEG file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Jpeg {
     /// Width and height, px.
@@ -13,7 +13,7 @@ pub struct Jpeg {
     pub sampling: u8,
     /// Whether an Adobe marker says that three components are RGB.
     pub is_rgb: bool,
-    /// Whether the file has its end.
+    /// Whether the file is complete.
     pub is_whole: bool,
 }
 

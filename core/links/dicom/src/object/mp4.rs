@@ -18,30 +18,30 @@ pub struct Film {
     pub frames: u32,
     /// Length, s.
     pub seconds: f64,
-    /// `profile_idc`: 66 baseline, 77 main, 100 high.
+    /// H.264 profile, `profile_idc`: 66 baseline, 77 main, 100 high.
     pub profile: u8,
-    /// `level_idc`: 41 is level 4.1.
+    /// H.264 level, `level_idc`: 41 is level 4.1.
     pub level: u8,
-    /// 1: 4:2:0. Profiles up to main have no other.
+    /// Chroma format; 1: 4:2:0, the only one in profiles up to main.
     pub chroma_format: u8,
     /// Bits of luma and chroma.
     pub bits: (u8, u8),
 }
 
-/// Why a file is not an MP4 file with one track of H.264.
+/// A file that is not an MP4 file with one H.264 track.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum Mp4Error {
     /// The operating system's error.
     #[error(transparent)]
     Read(#[from] std::io::Error),
-    /// A box inside the index is longer than what contains it.
+    /// A box inside the index is longer than its container.
     #[error("a box `{kind}` of {size} bytes, {left} are there")]
     LongBox { kind: String, size: usize, left: usize },
     /// A box of the file is longer than the file.
     #[error("at byte {at}: a box of {size} bytes, {left} are there")]
     LongBoxAt { at: u64, size: u64, left: u64 },
-    /// More boxes side by side than are read.
+    /// Too many boxes at one level.
     #[error("more than {MAX_BOXES} boxes")]
     ManyBoxes,
     /// A box is missing.
@@ -56,7 +56,7 @@ pub enum Mp4Error {
     /// No video track, or several.
     #[error("it has {count} video tracks, not one")]
     Tracks { count: usize },
-    /// The index is longer than any that is read.
+    /// The index is too long.
     #[error("its index has {size} bytes; {MAX_INDEX_BYTES} are the most")]
     LongIndex { size: u64 },
     /// The box `moov` is missing.
@@ -74,7 +74,7 @@ pub enum Mp4Error {
     /// Another codec.
     #[error("its pictures are `{kind}`, not H.264 (`avc1`)")]
     OtherCoding { kind: String },
-    /// No pictures, or pictures without pixels or time.
+    /// No images, or images without pixels or duration.
     #[error("it holds no pictures")]
     Empty,
     /// More than 2^31 pictures.
@@ -85,7 +85,7 @@ pub enum Mp4Error {
     TooLong,
 }
 
-/// A box: its type, and where its content lies.
+/// A box: its type and its content.
 type Box_<'a> = ([u8; 4], &'a [u8]);
 
 /// The boxes in some bytes.
@@ -122,10 +122,11 @@ fn be16(bytes: &[u8], at: usize) -> Result<u16, Mp4Error> {
     two.map(u16::from_be_bytes).ok_or(Mp4Error::Cut { what: "a box" })
 }
 
-/// Reads what the one video track of a file holds.
+/// Reads the properties of the only video track of a file.
 ///
 /// # Errors
-/// It is no MP4 file with one track of H.264, or damaged; or it cannot be read.
+///
+/// The file cannot be read, is damaged, or is not an MP4 file with one H.264 track.
 pub fn parse(file: &mut (impl Read + Seek)) -> Result<Film, Mp4Error> {
     let index = index(file)?;
     let mut films = Vec::new();

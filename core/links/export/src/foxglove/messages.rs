@@ -42,7 +42,8 @@ pub fn compressed(
     })
 }
 
-/// The pixels without compression: what PNG cannot hold, or Foxglove does not read from it. Floats and 16 bits are little-endian.
+/// The pixels without compression: for pixels that PNG cannot hold or that Foxglove does not read from PNG. Floats and
+/// 16 bits are little-endian.
 ///
 /// # Errors
 /// The encoder's.
@@ -185,7 +186,7 @@ pub fn tip_mark(tip: &abi::Tip, timestamp: Timestamp) -> ImageAnnotations {
     ImageAnnotations { timestamp: Some(timestamp), circles: vec![circle], ..ImageAnnotations::default() }
 }
 
-/// The tip in space, in m; `None` where that is not known.
+/// The tip in space, in m; `None` if it is not known.
 pub fn tip_point(tip: &abi::Tip, timestamp: Timestamp) -> Option<Point3InFrame> {
     let [x, y, z] = tip.xyz_mm.map(|mm| mm * MM);
     (tip.xyz_valid == 1).then(|| Point3InFrame {

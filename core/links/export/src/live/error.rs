@@ -1,9 +1,9 @@
-//! Errors.
+//! Errors of the server for Foxglove.
 
 use std::io;
 use std::net::SocketAddr;
 
-/// Why a graph is not served.
+/// A graph that is not served.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveServerError {
     /// The address cannot be listened on.
@@ -16,7 +16,7 @@ pub enum LiveServerError {
         /// Why.
         cause: io::Error,
     },
-    /// There is no thread for the server.
+    /// The server's thread could not be started.
     #[error("cannot start the threads that serve {address}: {cause}")]
     Thread {
         /// The address.

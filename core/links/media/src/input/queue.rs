@@ -34,7 +34,7 @@ impl Signal {
     }
 }
 
-/// Which pictures a full queue gives up.
+/// Behaviour of a full queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Policy {
     /// The oldest one is dropped and counted: the newest wins.
@@ -43,20 +43,20 @@ pub enum Policy {
     Lossless,
 }
 
-/// One entry: a picture, or a note that it is damaged.
+/// One entry: a frame, or a mark that it is damaged.
 #[derive(Debug)]
 pub struct Item<T> {
-    /// Number since the pipeline started, from 1; dropped and damaged pictures count.
+    /// Number since the pipeline started, from 1; dropped and damaged frames are counted.
     pub number: u64,
     /// Presentation time in the stream, ns.
     pub pts_ns: Option<i64>,
     /// Arrival at this machine, ns of `CLOCK_MONOTONIC`.
     pub arrived_ns: i64,
-    /// What the reader made of the sample.
+    /// The item that the reader made from the sample.
     pub content: T,
 }
 
-/// Why no further picture comes.
+/// Reason why no further frame follows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum End {
     /// The source has ended.
@@ -125,13 +125,13 @@ impl<T> Queue<T> {
         true
     }
 
-    /// Sets what a full queue does.
+    /// Sets the behaviour of a full queue.
     pub fn set_policy(&self, policy: Policy) {
         locked(&self.state).policy = policy;
         self.space.notify_all();
     }
 
-    /// While set, pictures are thrown away without waiting and without being counted.
+    /// While set, frames are discarded without waiting and without being counted.
     pub fn refuse(&self, is_refusing: bool) {
         locked(&self.state).is_refusing = is_refusing;
         self.space.notify_all();
@@ -156,7 +156,7 @@ impl<T> Queue<T> {
         self.space.notify_all();
     }
 
-    /// Drops what waits, forgets the end, and numbers the next picture `pushed + 1`.
+    /// Drops waiting frames, clears the end, and numbers the next frame `pushed + 1`.
     pub fn restart(&self, pushed: u64) {
         let mut state = locked(&self.state);
         state.items.clear();
@@ -202,7 +202,7 @@ impl<T> Queue<T> {
         count as u64
     }
 
-    /// Pictures taken from the pipeline since the start.
+    /// Number of frames received from the pipeline.
     pub fn pushed(&self) -> u64 {
         locked(&self.state).pushed
     }

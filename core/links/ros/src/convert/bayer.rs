@@ -1,6 +1,6 @@
-//! Images of sensors with a colour filter before each pixel.
+//! Images of sensors with a colour filter per pixel.
 
-/// Columns and rows by which a pattern is moved against red, green / green, blue.
+/// Columns and rows by which a pattern is shifted from red, green / green, blue.
 fn offset(encoding: &str) -> Option<(usize, usize)> {
     Some(match encoding {
         "bayer_rggb8" => (0, 0),
