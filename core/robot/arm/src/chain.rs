@@ -67,7 +67,7 @@ impl Chain {
     /// The arm that comes with Panoscope.
     ///
     /// # Errors
-    /// None: a test reads the same text.
+    /// None in practice: a test parses the same text.
     pub fn shipped() -> Result<Self, ArmError> {
         Self::from_urdf(SHIPPED_URDF)
     }
@@ -75,7 +75,7 @@ impl Chain {
     /// Reads a URDF text.
     ///
     /// # Errors
-    /// No URDF, a link that is missing or misplaced, another number of joints, a limit that is malformed.
+    /// The text is not URDF, a link is missing or misplaced, the number of joints is wrong, or a limit is malformed.
     pub fn from_urdf(text: &str) -> Result<Self, ArmError> {
         let robot = urdf_rs::read_from_string(text).map_err(|error| ArmError::NoUrdf { reason: error.to_string() })?;
         let has = |link: &'static str, what: &'static str| {

@@ -1,12 +1,13 @@
 //! Computes joint velocities from the tip's position (thesis, chapter 6, fig. 6.3).
 //!
-//! Goal: the tip at the centre of the picture that both cameras share (between the cameras, so `baseline / 2` beside the left one) and at a set
-//! distance from the left camera. Errors in px, px and mm go through one PID each; the interaction matrix makes a movement of the point of
-//! them; the tip's own movement is fed forward; [`task::solve`] makes joint velocities that turn about the trocar.
+//! Goal: the tip at the centre of the picture that both cameras share (between the cameras, so `baseline / 2` beside
+//! the left one) and at a set distance from the left camera. Errors in px, px and mm go through one PID each; the
+//! interaction matrix makes a movement of the point of them; the tip's own movement is fed forward; [`task::solve`]
+//! computes joint velocities that turn about the trocar.
 //!
-//! The picture is old when the arm receives a command. Errors are therefore predicted: the tip moves at constant velocity, the arm follows the
-//! set-points that it has received (a predictor after Smith, 1957, with the arm's kinematics as its model). The integral sums the errors without
-//! prediction.
+//! The image is old when the arm receives a command. Errors are therefore predicted: the tip moves at constant
+//! velocity, the arm follows the set-points that it has received (a predictor after Smith, 1957, with the arm's
+//! kinematics as its model). The integral sums the errors without prediction.
 
 use nalgebra::{Point3, Vector3};
 use panoscope_tracking::kalman::{Kalman, Model, stereo_covariance};
@@ -79,10 +80,10 @@ const DISPARITY_PX: f64 = 0.5;
 /// Range of accepted depths of the tip, mm.
 const NEAREST_MM: f64 = 5.0;
 const FARTHEST_MM: f64 = 1000.0;
-/// A movement counts as limited when less than this share of it was carried out; slower movements (rad/s) are not checked.
+/// Minimum movement that is checked for limiting, rad/s.
 const MIN_RAD_S: f64 = 0.01;
 const CARRIED: f64 = 0.5;
-/// Longest time over which an old tip is predicted, s: the interlock follows none that is older.
+/// Maximum time over which an old tip is predicted, s; the interlock follows no older tip.
 const MAX_AGE_S: f64 = 0.3;
 /// Largest joint angle accepted, rad.
 const FARTHEST_RAD: f64 = 100.0;
@@ -156,8 +157,8 @@ impl Controller {
         self.share < 1.0 - 1e-9 || is_behind
     }
 
-    /// Processes one tick: the tip of a picture taken at `taken_ns` in real time, the joint angles at that time, and the newest set-points if they are known.
-    /// None while no tip can be followed.
+    /// Processes one tick: the tip of a picture taken at `taken_ns` in real time, the joint angles at that time, and
+    /// the newest set-points if they are known. `None` while no tip can be followed.
     pub fn step(
         &mut self,
         taken_ns: i64,

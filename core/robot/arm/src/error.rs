@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// Why an arm cannot be used.
+/// An arm that cannot be used.
 #[derive(Debug, Error)]
 pub enum ArmError {
     /// The text is not a URDF.
@@ -39,12 +39,12 @@ pub enum ArmError {
         /// Its type.
         kind: String,
     },
-    /// A link at the wrong place in the chain.
+    /// A link at the wrong position in the chain.
     #[error("link `{link}` does not hang where it has to: {rule}")]
     Misplaced {
         /// Name of the link.
         link: &'static str,
-        /// The rule for its place.
+        /// The rule for its position.
         rule: String,
     },
     /// An invalid number.

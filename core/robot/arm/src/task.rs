@@ -11,15 +11,15 @@ use crate::chain::{Chain, JOINTS, JointVector, Stance};
 const SINGULAR_BELOW: f64 = 0.25;
 /// Damping at a singular pose.
 const MAX_DAMPING: f64 = 0.25;
-/// Rows in mm become numbers near 1.
+/// Scale that brings rows in mm near 1.
 const ROW_SCALE_MM: f64 = 100.0;
-/// Largest speed towards a joint limit per distance left, 1/s.
+/// Maximum speed towards a joint limit per remaining distance, 1/s.
 const LIMIT_RATE: f64 = 3.0;
 /// Margin before joint limits, rad.
 const LIMIT_ROOM_RAD: f64 = 0.03;
 /// Rate at which an offset from the trocar decays, 1/s.
 const PIVOT_RATE: f64 = 8.0;
-/// Rate at which a tilt of the horizon decays, 1/s.
+/// Rate at which a roll of the horizon decays, 1/s.
 const ROLL_RATE: f64 = 2.0;
 
 /// A requested movement of the picture.
@@ -27,7 +27,7 @@ const ROLL_RATE: f64 = 2.0;
 pub struct Wanted {
     /// The observed point in the left camera's frame, mm.
     pub point_mm: Vector3<f64>,
-    /// Velocity of the point in the camera's frame that the camera's movement shall cause, mm/s.
+    /// Velocity of the point in the camera's frame that the camera's movement must cause, mm/s.
     pub velocity_mm_s: Vector3<f64>,
 }
 
@@ -100,7 +100,7 @@ pub fn solve(chain: &Chain, angles_rad: &JointVector, stance: &Stance, up: &Vect
     Solution { velocity: velocity * share, singular, share }
 }
 
-/// Share of a movement with which every joint can stop before its limit.
+/// Share of a movement at which every joint can still stop before its limit.
 fn limit_share(chain: &Chain, angles_rad: &JointVector, velocity: &JointVector) -> f64 {
     let mut share: f64 = 1.0;
     for (k, joint) in chain.joints().iter().enumerate() {
@@ -114,8 +114,8 @@ fn limit_share(chain: &Chain, angles_rad: &JointVector, velocity: &JointVector) 
     share
 }
 
-/// Errors (px, px, mm) per movement of the point (mm): how the place in the picture, less the place of the centre between the cameras, and the
-/// distance from the camera change (Chaumette and Hutchinson 2006).
+/// Errors (px, px, mm) per movement of the point (mm): the change of the image position, relative to the centre between
+/// the cameras, and of the distance from the camera (Chaumette and Hutchinson 2006).
 pub fn interaction(point_mm: &Vector3<f64>, focal_px: (f64, f64), centre_x_mm: f64) -> Matrix3<f64> {
     let (p, (fx, fy)) = (point_mm, focal_px);
     let (z, range) = (p.z, p.norm());

@@ -31,7 +31,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// The second value of an option, or the first error: exit code and message.
+/// Runs the program with its arguments. Errors are an exit code and a message.
 fn run(args: Vec<String>) -> Result<(), (u8, String)> {
     let wrong = |message: String| (2, format!("{message}\n\n{USAGE}"));
     if let [first, folder @ ..] = args.as_slice()

@@ -1,16 +1,17 @@
 //! The last stage before set-points: whatever motion is requested, its output stays within the limits.
 //!
-//! Where it stands. Three watchdogs, each outside what the one before it can break:
+//! Three watchdogs, each independent of the one before it:
 //! 1. `arm_pid` asks for nothing without a fresh tip. It is a node like any other and may be replaced or wrong.
 //! 2. This interlock lives in the driver (`arm_sim`, `arm_serial`), after the graph's last wire. It looks at the tip itself, at the age of the
 //!    demand, and at every limit, and steps on a clock of the driver's: with real hardware a thread that continues when the graph, the controller
 //!    or the host's scheduler does not.
 //! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the whole process dies.
 //!
-//! How it keeps the limits. The state is one [`SetPoint`]; time advances in steps of 1 ms. For each state a stop has been planned ([`Brake`], closed
-//! form) and checked against joint limits and workspace before the state is entered. A demand is followed for up to 10 steps at a time, and only if
-//! such a stop exists from their end; otherwise the known stop is driven. By induction no sequence of inputs leaves the limits. All changes scale the
-//! joints together, so that movements about the trocar stay such.
+//! How it keeps the limits. The state is one [`SetPoint`]; time advances in steps of 1 ms. For each state a stop has
+//! been planned ([`Brake`], closed form) and checked against joint limits and workspace before the state is entered. A
+//! demand is followed for up to 10 steps at a time, and only if such a stop exists from their end; otherwise the known
+//! stop is driven. By induction no sequence of inputs leaves the limits. All changes scale the joints together, so that
+//! movements about the trocar stay such.
 
 mod brake;
 pub mod caps;
@@ -41,7 +42,7 @@ const NOTED_AFTER_STEPS: u32 = 31;
 /// Maximum number of events that wait to be taken.
 const MAX_EVENTS: usize = 32;
 
-/// Settings of the user; the limits in [`caps`] hold whatever they are.
+/// Settings of the user; the limits in [`caps`] hold in any case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Age up to which a tip is followed, ms; at most 300.
@@ -56,7 +57,7 @@ impl Default for Settings {
     }
 }
 
-/// What the interlock needs to know of the tip that the arm follows.
+/// Properties of the followed tip that the interlock checks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
     /// Score, 0 to 1; lower while the tip is only predicted.
@@ -68,15 +69,15 @@ pub struct Evidence {
 /// Requested joint velocities.
 #[derive(Clone, Copy, Debug)]
 struct Demand {
-    /// When they were requested, ns.
+    /// Time of the request, ns.
     made_ns: i64,
-    /// When the light that they were computed from arrived, ns.
+    /// Arrival time of the light that they were computed from, ns.
     light_ns: i64,
-    /// None where they are invalid.
+    /// `None` if they are invalid.
     velocity: Option<JointVector>,
 }
 
-/// See the module.
+/// The interlock of one arm; see the module.
 pub struct Interlock {
     chain: Chain,
     caps: Caps,
@@ -84,7 +85,7 @@ pub struct Interlock {
     settings: Settings,
     now_ns: i64,
     state: SetPoint,
-    /// The stop that is being driven, and its steps so far.
+    /// The stop in progress, and its steps so far.
     braking: Option<(Brake, u32)>,
     /// The planned stop from `state`.
     escape: Brake,
@@ -148,7 +149,7 @@ impl Interlock {
         &self.caps
     }
 
-    /// Takes the user's settings as far as the limits allow; NaN counts as the strictest.
+    /// Sets the user's settings, clamped to the limits; NaN counts as the strictest value.
     pub fn set(&mut self, settings: Settings) {
         let oldest = caps::TIP_AGE.as_secs_f64() * 1e3;
         let strict =
@@ -159,7 +160,7 @@ impl Interlock {
         };
     }
 
-    /// Takes the newest tip that the arm follows. Its light arrived at `light_ns`.
+    /// Sets the newest tip that the arm follows. Its light arrived at `light_ns`.
     pub fn tip(&mut self, light_ns: i64, evidence: Evidence) {
         self.tip = Some((light_ns, evidence));
     }
@@ -203,19 +204,20 @@ impl Interlock {
         self.latched
     }
 
-    /// When the demand expires that the arm follows, ns; none while it brakes or stands.
+    /// Expiry of the followed demand, ns; `None` while the arm brakes or rests.
     pub fn expires_ns(&self) -> Option<i64> {
         let demand = self.demand.filter(|_| self.stop.is_none())?;
         Some(demand.made_ns.saturating_add(caps::DEMAND_AGE.as_nanos() as i64))
     }
 
-    /// Cause of a stop that has lasted longer than a late tick; none while the arm follows.
+    /// Cause of a stop that has lasted longer than a late tick; `None` while the arm follows.
     pub fn stopped(&self) -> Option<Cause> {
         self.noted
     }
 
-    /// Cause for which the newest set-point brakes; none where it follows. A demand expires after 24 ms, so at 30 ticks per second this is set in the
-    /// last 9 ms of each tick, in which limited jerk changes a speed by 1.2 mrad/s at most: see [`Interlock::stopped`].
+    /// Cause for which the newest set-point brakes; `None` if it follows. A demand expires after 24 ms, so at 30 ticks
+    /// per second this is set in the last 9 ms of each tick, in which limited jerk changes a speed by 1.2 mrad/s at
+    /// most: see [`Interlock::stopped`].
     pub fn stop(&self) -> Option<Cause> {
         self.stop
     }
@@ -286,7 +288,7 @@ impl Interlock {
         })
     }
 
-    /// When the demand was made that is followed at this moment, ns, and its velocities; else the cause not to follow.
+    /// Time of the followed demand, ns, and its velocities; otherwise the cause of the stop.
     fn followed(&self) -> Result<(i64, JointVector), Cause> {
         if let Some(cause) = self.latched {
             return Err(cause);
@@ -347,7 +349,7 @@ impl Interlock {
         steps
     }
 
-    /// A demand within the speeds of joints and camera, its direction kept.
+    /// A demand scaled to the speed limits of joints and camera, with its direction kept.
     fn tamed(&self, wanted: &JointVector) -> JointVector {
         let camera =
             self.chain.stance(&self.state.position).camera_velocity(wanted).norm() / (0.85 * caps::CAMERA_MM_S);
@@ -386,7 +388,7 @@ impl Interlock {
         true
     }
 
-    /// Records time and cause.
+    /// Records passed steps and the cause of a stop.
     fn passed(&mut self, steps: u32, stop: Option<Cause>) {
         self.now_ns = self.now_ns.saturating_add(i64::from(steps) * STEP_NS);
         self.stop = stop;
@@ -418,7 +420,8 @@ impl Interlock {
     }
 }
 
-/// Steps of a stop at which its place is checked: thirds of the time until the joints' accelerations are released, and quarters of the rest.
+/// Steps of a stop at which its position is checked: thirds of the time until the joints' accelerations are released,
+/// and quarters of the rest.
 fn checked_steps(release: u32, end: u32) -> [u32; 8] {
     let rest = end - release;
     let after = |quarters: u32| release + quarters * rest / 4;

@@ -21,7 +21,7 @@ pub enum Channel {
 }
 
 impl Channel {
-    /// Both.
+    /// Both channels.
     pub const ALL: [Self; 2] = [Self::Picture, Self::Distance];
 
     /// Prefix of the parameters' names.
@@ -133,7 +133,7 @@ impl Course {
     /// Plays a motion against a controller.
     ///
     /// # Errors
-    /// [`TuneError::Stopped`] where the interlock stops the arm, [`TuneError::NotFinite`] where the tip is lost in numbers.
+    /// [`TuneError::Stopped`] where the interlock stops the arm, [`TuneError::NotFinite`] where the tip is not finite.
     pub fn play(&self, goals: &Goals, channel: Channel, motion: Motion) -> Result<Vec<Sample>, TuneError> {
         let mut controller = Controller::new(self.chain.clone());
         let mut control = |tick: &Tick<'_>| {
@@ -274,7 +274,7 @@ impl<'a> Loop<'a> {
         self.camera.inverse_transform_point(&Point3::from(at)).coords
     }
 
-    /// As two cameras see it.
+    /// The tip with the noise of two cameras.
     fn noisy(&mut self, p: Vector3<f64>) -> Vector3<f64> {
         let Course { cameras, noise_px, .. } = self.course;
         let mut bell = || ((0..6).map(|_| self.random.unit()).sum::<f64>() - 3.0) * 1.414 * noise_px;

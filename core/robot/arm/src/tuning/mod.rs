@@ -6,7 +6,7 @@ pub mod search;
 
 use thiserror::Error;
 
-/// Why no gains were found.
+/// Gains that could not be found.
 #[derive(Debug, Error, PartialEq)]
 pub enum TuneError {
     /// Invalid parameters of the relay.
@@ -14,7 +14,7 @@ pub enum TuneError {
     BadRelay {
         /// Which of its numbers.
         what: &'static str,
-        /// The number.
+        /// Value of the number.
         value: f64,
     },
     /// The loop does not oscillate.

@@ -35,10 +35,11 @@ const PERIODS: usize = 6;
 const STEADY: f64 = 0.15;
 
 impl Relay {
-    /// Makes `plant` oscillate: it takes the relay's output for one step and returns the error after it. The error falls while the output is above 0.
+    /// Makes `plant` oscillate: it takes the relay's output for one step and returns the error after it. The error
+    /// falls while the output is above 0.
     ///
-    /// The gain is the ratio of the first harmonics of both signals over whole periods, not of the relay's amplitude to the peak: that
-    /// describing function is 19 % off for an integrator with dead time, whose swing is a triangle.
+    /// The gain is the ratio of the first harmonics of both signals over whole periods, not of the relay's amplitude to
+    /// the peak: that describing function is 19 % off for an integrator with dead time, whose swing is a triangle.
     ///
     /// # Errors
     /// [`TuneError::BadRelay`] for an amplitude, step or time that is not above 0; [`TuneError::NoSwing`] where the error does not cross 0 often
@@ -101,7 +102,8 @@ impl Relay {
 /// Rules that compute gains from a loop's limit of stability.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// Ziegler and Nichols 1942, "Optimum settings for automatic controllers": a quarter of each swing is left in the next.
+    /// Ziegler and Nichols 1942, "Optimum settings for automatic controllers": each swing is a quarter of the one
+    /// before.
     ZieglerNichols,
     /// Tyreus and Luyben 1992, "Tuning PI controllers for integrator/dead time processes": calmer, for integrating loops.
     TyreusLuyben,
@@ -110,22 +112,22 @@ pub enum Rule {
     Amigo,
 }
 
-/// Parts of a PID.
+/// Parts of a PID controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parts {
-    /// Proportional.
+    /// Proportional part only.
     P,
-    /// With an integral.
+    /// Proportional and integral parts.
     Pi,
-    /// With an integral and a derivative.
+    /// All three parts.
     Pid,
 }
 
 impl Parts {
-    /// All, from the simplest.
+    /// All combinations, from the simplest.
     pub const ALL: [Self; 3] = [Self::P, Self::Pi, Self::Pid];
 
-    /// Name.
+    /// Name of the combination.
     pub fn name(self) -> &'static str {
         match self {
             Self::P => "P",
@@ -138,11 +140,11 @@ impl Parts {
 /// Gains of the three parts: 1/s, 1/s^2, 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tuned {
-    /// Proportional, 1/s.
+    /// Proportional gain, 1/s.
     pub proportional: f64,
-    /// Integral, 1/s^2.
+    /// Integral gain, 1/s^2.
     pub integral: f64,
-    /// Derivative, 1.
+    /// Derivative gain, without unit.
     pub derivative: f64,
 }
 
@@ -150,7 +152,7 @@ impl Rule {
     /// All rules.
     pub const ALL: [Self; 3] = [Self::ZieglerNichols, Self::TyreusLuyben, Self::Amigo];
 
-    /// Name.
+    /// Name of the rule.
     pub fn name(self) -> &'static str {
         match self {
             Self::ZieglerNichols => "Ziegler-Nichols",
@@ -159,7 +161,7 @@ impl Rule {
         }
     }
 
-    /// Gains of a rule; none where the rule has none for these parts.
+    /// Gains of a rule; `None` if the rule has none for these parts.
     pub fn gains(self, ultimate: &Ultimate, parts: Parts) -> Option<Tuned> {
         let Ultimate { gain, period_s, .. } = *ultimate;
         // Dead time of the integrator that has this limit, and its speed: it turns by 90 degrees, the dead time by the other 90.
