@@ -92,7 +92,7 @@ pub enum ApplyError {
         source_node: String,
         /// As given by the caller.
         seq: u64,
-        /// The first tick that can still be held back.
+        /// The tick after which the graph should change has already entered the graph.
         next: u64,
     },
     /// A tick was given for a node that is no source.

@@ -13,10 +13,10 @@ pub(crate) enum CallKind {
     /// A tick.
     #[default]
     Process,
-    /// Its parameters are checked.
+    /// Check of its parameters.
     Check,
     Open,
-    /// It completes its output.
+    /// Completion of its output.
     Finish,
     Close,
     SaveState,
@@ -34,7 +34,7 @@ impl CallKind {
         CallKind::LoadState,
     ];
 
-    /// After "it did not return".
+    /// The end of a message that begins with "it did not return".
     pub fn return_words(self) -> &'static str {
         match self {
             CallKind::Process => "",
@@ -47,7 +47,7 @@ impl CallKind {
         }
     }
 
-    /// After "while it".
+    /// The end of a message that begins with "while it".
     pub fn while_words(self) -> &'static str {
         match self {
             CallKind::Process => "processed",

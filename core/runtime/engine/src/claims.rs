@@ -33,14 +33,14 @@ struct State {
 struct File {
     /// How many parts of it this run began.
     begun: u32,
-    /// The part that holds the files of this run, where they are replaced as a whole; 0 is none yet.
+    /// The part that holds the files of this run, where they are replaced as a whole; 0 if there is none yet.
     series: u32,
     /// Open instances that write it: claim number and node.
     holders: Vec<(u64, String)>,
-    /// Against other runs; kept after the last holder has closed, because the run may go on with the next part.
+    /// Excludes other runs; kept after the last holder has closed, because the run may go on with the next part.
     lock: Option<OutputLock>,
-    /// Whether it is a later part of another file. The lock of that file keeps other runs from the name, so that the lock of the part ends with
-    /// its holder: a run of many parts would run out of descriptors.
+    /// Whether it is a later part of another file. The lock of that file also protects this name, so the lock of the
+    /// part ends with its holder; otherwise a run of many parts would run out of descriptors.
     is_part: bool,
 }
 
@@ -122,7 +122,7 @@ impl Claims {
         Leaving(self)
     }
 
-    /// Whether an instance of this node claims its files. If so, its successor may open beside it.
+    /// Whether an instance of this node claims its files. If so, its successor may open before it closes.
     pub fn are_used_by(&self, node: &str) -> bool {
         lock(&self.state).files.values().any(|file| file.holders.iter().any(|(_, by)| by == node))
     }
@@ -186,7 +186,8 @@ impl Claims {
     }
 }
 
-/// Whether there is a file of this name or pattern. Digits stand for `{seq}`, and anything for another place holder; a port may follow the name.
+/// Whether there is a file of this name or pattern. Digits stand for `{seq}`, and anything for another placeholder; a
+/// port may follow the name.
 fn has_files(pattern: &Path) -> bool {
     let Some((folder, name)) = pattern.parent().zip(pattern.file_name().and_then(OsStr::to_str)) else { return false };
     let (before, after) = match (name.find('{'), name.rfind('}')) {

@@ -1,11 +1,13 @@
 //! The host's monotonic clock, cheap enough to be read at every node boundary.
 //!
-//! Where the processor has an invariant time-stamp counter it is read directly (about 10 ns instead of 25 ns). The counter's rate is
-//! measured over 3 ms at the start and again over longer and longer times by [`keep`]. The clock corrects its error by running
-//! slightly faster or slower. If the counter does not keep time, the clock falls back to the operating system's.
+//! Where the processor has an invariant time-stamp counter it is read directly (about 10 ns instead of 25 ns). The
+//! counter's rate is measured over 3 ms at the start and again by [`keep`] over increasing intervals. The clock
+//! corrects its error by running slightly faster or slower. If the counter does not keep time, the clock falls back to
+//! the operating system's.
 //!
-//! The clock counts the time that the machine sleeps, and it never stands still. Where the counter stood still in a sleep, the clock steps
-//! forward; where the counter is ahead, for example after a pause of a virtual machine, the clock goes on from there at its rate.
+//! The clock counts the time that the machine sleeps, and it never stands still. Where the counter stood still in a
+//! sleep, the clock steps forward; where the counter is ahead, for example after a pause of a virtual machine, the
+//! clock goes on from there at its rate.
 
 use std::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock};
@@ -22,7 +24,7 @@ const FIRST_INTERVAL_NS: u64 = 100_000_000;
 const MAX_INTERVAL_NS: u64 = 64_000_000_000;
 /// Largest relative change of the rate to correct an error.
 const MAX_SLEW: f64 = 0.001;
-/// Beyond this difference of rates between two measurements the counter is not used.
+/// Maximum relative difference between two measured rates; beyond it the counter is not used.
 const MAX_RATE_CHANGE: f64 = 0.01;
 /// A larger error is a sleep or a pause, not drift: it is taken as time that has passed, and the measurement starts again.
 const MAX_ERROR_NS: f64 = 50e6;
@@ -38,7 +40,7 @@ struct Stretch {
     /// Nanoseconds per tick of the counter, times 2^32: one integer multiplication per reading. 0 where the operating system's clock is
     /// read instead.
     ns_per_tick_q32: u64,
-    /// How far the clock is ahead of the operating system's, where that is read instead.
+    /// Lead over the operating system's clock, where that is read instead.
     ahead_ns: i64,
     /// Counter ticks until its end, [`NO_END`] while it has none; 0 where the counter is not used.
     span_ticks: AtomicU64,
@@ -139,14 +141,14 @@ impl Pair {
     }
 }
 
-/// What becomes of the clock.
+/// What the clock does next.
 #[derive(Debug, PartialEq)]
 enum Next {
-    /// The counter, at this rate.
+    /// Use the counter, at this rate.
     Rate(f64),
-    /// Time has passed that only one of both clocks has counted.
+    /// Step: time has passed that only one of both clocks has counted.
     Step,
-    /// The counter does not keep time.
+    /// Use the operating system's clock; the counter does not keep time.
     Os,
 }
 
@@ -245,7 +247,7 @@ struct Keeper {
 }
 
 struct Measured {
-    /// The rate is measured from here on.
+    /// Start of the interval over which the rate is measured.
     first: Pair,
     /// Time of the next measurement by the operating system's clock, and the interval after it.
     due_ns: u64,

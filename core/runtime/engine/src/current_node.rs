@@ -92,7 +92,7 @@ fn set(work_now: CurrentWork) {
     OTHER.with(|other| other.set((work_now.other, work_now.kind)));
 }
 
-/// What the calling thread does now.
+/// The work that the calling thread does now.
 pub(crate) fn current_work() -> CurrentWork {
     let (other, kind) = OTHER.with(Slot::get);
     CurrentWork { call: CALL.with(Slot::get), other, kind }
@@ -139,7 +139,7 @@ fn files() -> &'static Mutex<HashMap<usize, String>> {
     FILES.get_or_init(Mutex::default)
 }
 
-/// A plugin was loaded: its node types come from this file.
+/// Records that a plugin was loaded: its node types come from this file.
 pub(crate) fn loaded(entries: &[&'static abi::NodeType], file: &Path) {
     let mut files = lock(files());
     for entry in entries {

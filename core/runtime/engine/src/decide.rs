@@ -17,7 +17,7 @@ pub struct SourceTick {
     pub capture_ns: i64,
     /// Whether it entered the graph; otherwise it was dropped.
     pub admitted: bool,
-    /// Whether its packets are missing in the recording.
+    /// Whether its packets are missing from the recording.
     pub gap: bool,
 }
 
@@ -30,7 +30,7 @@ pub struct Wanted {
     pub inputs: Vec<Option<(u32, u64)>>,
 }
 
-/// What a node was answered in one call about the time of its inputs.
+/// Input ages that a node received during one call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ages {
     /// The moment for which ages were given, ns.
@@ -48,7 +48,7 @@ pub enum Turn {
     Opened(Vec<ParamValue>),
     /// The node skips the tick.
     Skipped {
-        /// Whether it is this tick, not one that is missing in this run.
+        /// Whether it is this tick and not an earlier one that this run lacks.
         here: bool,
         /// Whether its instance is closed.
         closed: bool,
@@ -78,7 +78,7 @@ pub enum FramesError {
     },
 }
 
-/// Makes the decisions that otherwise depend on time. Edits are numbered from 0 in the order in which they were made.
+/// Makes the decisions that otherwise depend on time. Edits are numbered from 0, in order.
 pub trait Decider: Send + Sync {
     /// Whether a node never opens: its ticks are known, or it would act on the world.
     fn closes(&self, is_source: bool, has_side_effects: bool) -> bool;
@@ -107,7 +107,7 @@ pub trait Decider: Send + Sync {
     /// The next event of a node before `tick`; `None` when there is none left.
     fn next_turn(&self, node: &str, tick: &Tick) -> Option<Turn>;
 
-    /// What a node was answered about the time of its inputs at `tick`; `None` where that is unknown.
+    /// Input ages that a node received at `tick`; `None` where they are unknown.
     fn ages(&self, node: &str, tick: &Tick) -> Option<Ages>;
 
     /// Whether the head of a region may admit another tick before the next edit.

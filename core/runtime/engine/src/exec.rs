@@ -207,12 +207,13 @@ impl ExecPlace {
         (!raw.is_null()).then(|| unsafe { Box::from_raw(raw) })
     }
 
-    /// Puts back the `Exec` that was taken, or its replacement. Only the thread that took it, or the watchdog for it, may do so.
+    /// Puts back the `Exec` that was taken, or its replacement. Only the thread that took it may do so, or the watchdog
+    /// on its behalf.
     pub fn put(&self, exec: Box<Exec>) {
         self.0.store(Box::into_raw(exec), Ordering::Release);
     }
 
-    /// Changes the `Exec`; `None` if a thread runs the node.
+    /// Calls `change` with the `Exec`; `None` if a thread runs the node.
     pub fn with<R>(&self, change: impl FnOnce(&mut Exec) -> R) -> Option<R> {
         let mut exec = self.take()?;
         let result = change(&mut exec);

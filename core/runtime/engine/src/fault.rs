@@ -54,7 +54,8 @@ pub enum Cause {
     Release,
     /// The node's plugin ended the program: it crashed or called `exit`.
     Crash,
-    /// A node that writes files lacks ticks of its source, which were dropped because the nodes of its region are too slow.
+    /// A node that writes files lacks ticks of its source that were dropped because the nodes of its region are too
+    /// slow.
     Incomplete,
     /// An input was older than `max_age_ms` of its edge and counted as absent.
     TooOld,
@@ -94,7 +95,7 @@ pub struct Fault {
     pub node: String,
     /// The cause of a fault.
     pub cause: Cause,
-    /// Details for people.
+    /// Details for the user.
     pub words: String,
     /// The engine's response.
     pub done: Action,
@@ -192,7 +193,7 @@ impl FaultLog {
         recent.push(fault);
     }
 
-    /// Waits at most `limit` until all faults are passed on; `false` if they are not.
+    /// Waits up to `limit` until all faults are passed on; `false` if they are not.
     pub fn flush(&self, limit: Duration) -> bool {
         self.out.as_ref().is_none_or(|out| out.flush(limit))
     }
@@ -228,7 +229,7 @@ pub fn unix_ms() -> u64 {
 /// A file of faults.
 struct FaultFile {
     file: File,
-    /// Whether a failed write was reported.
+    /// Whether a failed write was reported already.
     told: bool,
 }
 

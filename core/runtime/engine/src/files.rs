@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 pub use panoscope_base::files::{create, is_special};
 
-/// How long a run waits for the lock of an output: one that was just killed may still be ending.
+/// How long a run waits for the lock of an output: a run that was just killed may still hold it.
 pub const LOCK_PATIENCE: Duration = Duration::from_secs(1);
-/// Time between two attempts.
+/// Time between two attempts to lock.
 const LOCK_POLL: Duration = Duration::from_millis(10);
 
 /// Another run has the lock of an output.
@@ -96,10 +96,11 @@ fn is_at(file: &File, path: &Path) -> bool {
     }
 }
 
-/// Opens a file for appending; one that is created has mode 0600. A symbolic link is replaced by a file, as in [`create`].
+/// Opens a file for appending; one that is created has mode 0600. A symbolic link is replaced by a file, as in
+/// [`create`].
 ///
 /// # Errors
-/// Those of the system.
+/// Any error of the file system.
 pub fn append(path: &Path) -> io::Result<File> {
     create_folders(path)?;
     if path.is_symlink() && !is_special(path) {
@@ -108,10 +109,10 @@ pub fn append(path: &Path) -> io::Result<File> {
     OpenOptions::new().create(true).append(true).mode(0o600).open(path)
 }
 
-/// Creates the missing folders on the way to the file `path`, with mode 0700.
+/// Creates the missing parent folders of the file `path`, with mode 0700.
 ///
 /// # Errors
-/// Those of the system.
+/// Any error of the file system.
 pub fn create_folders(path: &Path) -> io::Result<()> {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => DirBuilder::new().recursive(true).mode(0o700).create(folder),

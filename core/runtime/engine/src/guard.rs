@@ -25,9 +25,9 @@ use crate::thread_id;
 
 /// Time limit once the engine stops: long enough for nodes that work.
 const MAX_AT_STOP: Duration = Duration::from_secs(1);
-/// After this time the next node closes beside one that is still closing.
+/// Time after which the next node closes although the previous one is still closing.
 const MAX_TURN: Duration = Duration::from_secs(1);
-/// As much as the main thread has: some libraries need it when they are opened.
+/// Stack size of the main thread, which some libraries need when they open.
 const STACK_BYTES: usize = 8 << 20;
 
 /// A call to make.
@@ -38,7 +38,7 @@ pub(crate) struct Call<T> {
     pub run: Box<dyn FnOnce() -> T + Send>,
 }
 
-/// Why a call has no result.
+/// A call without a result.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CallError {
     /// It took too long.
@@ -67,7 +67,7 @@ pub(crate) enum CallError {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limit {
     pub usual: Duration,
-    /// Once the engine stops.
+    /// Limit once the engine stops.
     pub at_stop: Duration,
 }
 
@@ -344,8 +344,8 @@ impl Shared {
         );
     }
 
-    /// Closes all instances of nodes one after the other; while one takes long, the next ones close beside it. The log names those that are
-    /// not closed at the deadline.
+    /// Closes all instances of nodes one after the other; while one takes long, the next ones close in parallel. The
+    /// log names those that are not closed at the deadline.
     pub fn close_all(self: &Arc<Self>, runtimes: Vec<Arc<NodeRuntime>>, until: Instant) {
         let mut open = Vec::new();
         let mut calls = Vec::new();

@@ -28,7 +28,7 @@ pub(crate) type Refused = Box<(Cause, String)>;
 
 /// The target of a `call` handle.
 pub(crate) struct CallContext<'a> {
-    /// Output frames of the running call; each non-empty one holds a reference. The node sees only a copy.
+    /// Output frames of the running call; each frame that is not empty holds a reference. The node sees only a copy.
     pub outputs: *mut Frame,
     /// The copy that the node sees.
     pub shown: *mut Frame,
@@ -121,7 +121,7 @@ impl CallContext<'_> {
         ((index as usize) < self.outputs_len).then(|| unsafe { &mut *self.outputs.add(index as usize) })
     }
 
-    /// Makes a frame, whose one reference the caller gives away, an output of this tick.
+    /// Makes a frame an output of this tick and takes over the caller's reference.
     fn place(&mut self, index: u32, frame: &Frame) -> Status {
         let held = self.lent.take_if(|lent| lent.output == index).is_none();
         match self.output(index) {
@@ -237,9 +237,9 @@ unsafe extern "C" fn alloc(
     }
 }
 
-/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call, as [`abi::Host::alloc`]
-/// does with a new one. Of the frame only buffer and description count. With `is_copy` it is a copy of the output, as [`abi::Host::make_mut`]
-/// makes one: only the buffer counts.
+/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call,
+/// as [`abi::Host::alloc`] does with a new one. Only buffer and description of the frame are used. With `is_copy` it is
+/// a copy of the output, as [`abi::Host::make_mut`] makes one: only the buffer is used.
 ///
 /// # Safety
 /// `call` is the handle of the running call; `frame` is large enough for its description.

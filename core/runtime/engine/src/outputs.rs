@@ -5,7 +5,7 @@ use panoscope_base::format;
 
 use crate::fault::Cause;
 
-/// Largest output of a node.
+/// Maximum size of an output of a node, bytes.
 pub(crate) const MAX_OUTPUT_BYTES: usize = 256 << 20;
 
 /// How to check the contents of an output after a call.
@@ -73,7 +73,7 @@ impl OutputRule {
         }
     }
 
-    /// Why a description does not [`fit`].
+    /// The reason why a description does not [`fit`].
     #[cold]
     pub fn objection(&self, frame: &Frame) -> (Cause, String) {
         let allowed = is_allowed(self.formats, frame.format);
@@ -101,7 +101,7 @@ impl OutputRule {
         if fits(self.formats, frame) { self.inspect(frame, frame) } else { Err(self.objection(frame)) }
     }
 
-    /// Checks what the node made. `shown` is the copy that the node could change.
+    /// Checks an output after a call. `shown` is the copy that the node could change.
     pub fn inspect(&self, frame: &Frame, shown: &Frame) -> Result<(), (Cause, String)> {
         if !is_same(frame, shown) {
             let words = format!("the node changed the description of output `{}`, which only the host may", self.name);
@@ -137,7 +137,7 @@ impl OutputRule {
         }
     }
 
-    /// Samples a few dozen pixels of the plane, because a full scan would cost more than many nodes do.
+    /// Samples a few dozen pixels of the plane, because a full scan would cost more than many nodes.
     fn look_at_plane(&self, frame: &Frame) -> Result<(), (Cause, String)> {
         const LOOKS: usize = 32;
         if frame.format != abi::FORMAT_F32 {

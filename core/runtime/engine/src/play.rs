@@ -17,7 +17,7 @@ use crate::stats::bump;
 use crate::threads::{capture_fits, capture_words};
 
 impl Shared {
-    /// Plays a source's known ticks; returns whether the thread is to leave.
+    /// Plays a source's known ticks; returns whether the thread must end.
     pub(crate) fn play(&self, decider: &dyn Decider, node: usize, runtime: &Arc<NodeRuntime>) -> bool {
         if !decider.has_source(&runtime.id) {
             return false;

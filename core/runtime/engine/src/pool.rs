@@ -20,7 +20,7 @@ use crate::scratch::Scratch;
 use crate::sync::lock;
 use crate::thread_id;
 
-/// Longest wait of a patient task behind urgent ones.
+/// Maximum wait of a patient task behind urgent ones.
 const MAX_PATIENCE_NS: u64 = 100_000_000;
 /// Time that urgent tasks wait while no worker returns from its task, until another worker is added.
 const MAX_STALL_NS: u64 = 100_000_000;
@@ -28,7 +28,7 @@ const MAX_STALL_NS: u64 = 100_000_000;
 /// Runs a node task; called on a worker.
 pub type Task = Arc<dyn Fn(u32, &mut Scratch) + Send + Sync>;
 
-/// A parallel loop. It lies on the stack of its caller, who waits until all chunks are done.
+/// A parallel loop. It is on the stack of its caller, who waits until all chunks are done.
 struct Loop {
     body: unsafe extern "C" fn(*mut c_void, usize),
     data: *mut c_void,
@@ -40,7 +40,7 @@ struct Loop {
     caller_number: u32,
     /// Urgency of the node that it belongs to.
     urgency: Urgency,
-    /// The node that it belongs to.
+    /// The work of the node that it belongs to.
     doing: CurrentWork,
     /// The frames retained by the instance whose call it is part of.
     scope: retained::Scope,
@@ -91,7 +91,7 @@ unsafe impl Send for LoopPtr {}
 
 struct State {
     urgent: VecDeque<u32>,
-    /// Each with the time at which it was queued.
+    /// Patient tasks, each with the time at which it was queued.
     patient: VecDeque<(u32, u64)>,
     loops: Vec<LoopPtr>,
     idle: usize,
@@ -294,8 +294,8 @@ impl Pool {
         Ok(())
     }
 
-    /// Abandons a thread that does not return from a node, with all workers that are stuck in its loops or in theirs, and starts
-    /// new workers in their place. The thread may be no worker. Abandoned threads end when they return.
+    /// Abandons a thread that does not return from a node, with all workers that are stuck in its loops or in theirs,
+    /// and starts new workers in their place. The thread need not be a worker. Abandoned threads end when they return.
     pub fn give_up(&self, thread: u32) -> std::io::Result<()> {
         if thread == 0 {
             return Ok(());
@@ -323,13 +323,13 @@ impl Pool {
         task.map_or(Ok(()), |task| self.fill(&task))
     }
 
-    /// An abandoned thread that is no worker has returned.
+    /// Records the return of an abandoned thread that is not a worker.
     pub(crate) fn left(&self, thread: u32) {
         lock(&self.inner.state).given_up.retain(|n| *n != thread);
     }
 
-    /// Call this a few times per second. If urgent tasks wait and no worker returns, because all are in calls that may be hung,
-    /// adds a worker so that unrelated nodes continue. That worker ends when no urgent task waits.
+    /// Called a few times per second. If urgent tasks wait and no worker returns, because all are in calls that may be
+    /// hung, adds a worker so that unrelated nodes continue. That worker ends when no urgent task waits.
     pub(crate) fn relieve(&self, now_ns: u64) -> std::io::Result<bool> {
         let mut state = lock(&self.inner.state);
         let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > MAX_PATIENCE_NS;
@@ -358,7 +358,7 @@ impl Pool {
         CURRENT.set(Some(Arc::clone(&self.inner)));
     }
 
-    /// Like [`Self::enter`], until the guard goes.
+    /// Like [`Self::enter`], until the guard is dropped.
     pub fn visit(&self) -> Visit<'_> {
         Visit { before: CURRENT.replace(Some(Arc::clone(&self.inner))), pool: std::marker::PhantomData }
     }

@@ -132,10 +132,11 @@ pub struct NodeType {
     /// Folder of the files that come with its plugin; empty when it is not known.
     #[serde(default, skip_serializing_if = "is_empty_path")]
     pub shipped_dir: PathBuf,
-    /// Program that runs it, if not the one that runs the graph, such as a Python interpreter: its nodes run in a process of their own.
+    /// Program that runs it, if not the one that runs the graph, such as a Python interpreter: its nodes run in a
+    /// separate process.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interpreter: Option<PathBuf>,
-    /// What the node itself checks about its parameters and wiring; it is not written out.
+    /// The node's own check of its parameters and wiring; not serialized.
     #[serde(skip)]
     pub validator: Option<Validator>,
 }

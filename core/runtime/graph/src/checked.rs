@@ -66,7 +66,7 @@ pub struct Graph {
     pub mode: Mode,
     /// Plugins the file lists, without repetitions.
     pub plugins: Vec<String>,
-    /// Those whose nodes all run in processes of their own, see [`crate::GraphText::isolated_plugins`].
+    /// Those whose nodes all run in separate processes, see [`crate::GraphText::isolated_plugins`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub isolated_plugins: Vec<String>,
     /// Nodes in file order.
@@ -130,7 +130,7 @@ impl Graph {
 pub struct Deny {
     /// Sockets of any kind.
     pub network: bool,
-    /// Files that are made, written or removed. Devices stay as they are.
+    /// Creating, writing and removing files. Devices are not affected.
     pub new_files: bool,
 }
 
@@ -154,12 +154,12 @@ impl Deny {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Pixels {
-    /// As they are.
+    /// Uncompressed.
     #[default]
     Raw,
     /// Compressed without loss: the same bytes arrive.
     Lz4,
-    /// Colour pictures as H.264, with loss; all else as [`Self::Lz4`].
+    /// Colour images as H.264, with loss; all else as [`Self::Lz4`].
     H264,
 }
 
@@ -172,7 +172,7 @@ impl Pixels {
         Self::WORDS.into_iter().find_map(|(known, pixels)| (known == word).then_some(pixels))
     }
 
-    /// Whether other pixels may arrive than were sent.
+    /// Whether pixels may change on the way.
     pub fn is_lossy(self) -> bool {
         self == Self::H264
     }
@@ -196,7 +196,7 @@ pub struct Machine {
     pub address: String,
     /// How pixels travel.
     pub pixels: Pixels,
-    /// It counts as lost when nothing was heard of it for this long, ms.
+    /// Silence after which the machine counts as lost, ms.
     pub timeout_ms: u32,
     /// Whether addresses without encryption may lead to another machine.
     pub plaintext: bool,
@@ -225,9 +225,9 @@ pub struct Node {
     pub params: Vec<ParamValue>,
     /// What the host does when it faults.
     pub on_fault: OnFault,
-    /// Time it should not exceed per tick, ms.
+    /// Time budget per tick, ms.
     pub budget_ms: Option<f64>,
-    /// It fires at most this often, Hz.
+    /// Maximum rate at which it fires, Hz.
     pub max_rate_hz: Option<f64>,
     /// Core its thread is pinned to.
     pub cpu: Option<u32>,
@@ -268,10 +268,10 @@ pub struct Edge {
     pub list_index: usize,
     /// How it is matched with the consumer's other inputs.
     pub align: Align,
-    /// Age of the oldest light beyond which a packet counts as absent. Not for `exact`.
+    /// Maximum age of a packet's oldest light, ms; an older packet counts as absent. Not for `exact`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_age_ms: Option<f64>,
-    /// The input only says where to look: its age does not count for what the consumer makes.
+    /// The input only guides a search: its age does not count for the consumer's outputs.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub guide: bool,
     /// Packets that may wait on the edge, at least 1; `None` leaves it to the scheduler.
@@ -300,14 +300,14 @@ pub struct Preset {
 pub struct PresetView {
     /// Node, a position in [`Graph::nodes`].
     pub node: usize,
-    /// Output, a position in the type's `outputs`. It carries something with a picture, see [`PresetView::PACKETS`].
+    /// Output, a position in the type's `outputs`. Its packets can be drawn, see [`PresetView::PACKETS`].
     pub port: usize,
-    /// Text shown beside it; the node's name when the file gives none.
+    /// Text shown next to it; the node's name when the file gives none.
     pub label: String,
 }
 
 impl PresetView {
-    /// Packets that have a picture.
+    /// Packet types that can be drawn.
     pub const PACKETS: [&str; 6] = ["image", "mask", "disparity", "depth", "confidence", "cloud"];
 }
 
@@ -320,6 +320,6 @@ pub struct Pin {
     pub param: usize,
     /// Allowed range, inside the parameter's own; `None` for parameters without numbers.
     pub range: Option<(f64, f64)>,
-    /// Text shown beside it; the parameter's name when the file gives none.
+    /// Text shown next to it; the parameter's name when the file gives none.
     pub label: String,
 }

@@ -14,15 +14,16 @@ const OPTION: &str = "--graph-arg";
 /// A command line whose options of graphs were rewritten.
 #[derive(Clone, Debug, Default)]
 pub struct CommandLine {
-    /// What the program parses.
+    /// Arguments for the program's own parser.
     pub words: Vec<OsString>,
     /// The arguments of the graph for the program's help; empty when it has none.
     pub help: String,
-    /// Options that lack their value, in words.
+    /// Message about options that lack a value.
     pub problem: Option<String>,
 }
 
-/// Rewrites the words of a command line, of which the first is the program. Files are those words that end in `.toml`.
+/// Rewrites the arguments of a command line, of which the first is the program. Arguments that end in `.toml` are graph
+/// files.
 pub fn rewrite(words: Vec<OsString>) -> CommandLine {
     rewrite_except(words, &[])
 }

@@ -28,7 +28,7 @@ pub fn to_dot(graph: &Graph, catalog: &Catalog) -> String {
     out
 }
 
-/// Writes nodes whose names begin with `prefix`; those of parts inside stand in clusters of their own.
+/// Writes nodes whose names begin with `prefix`; those of nested parts go into separate clusters.
 fn cluster(out: &mut String, graph: &Graph, catalog: &Catalog, nodes: &[usize], prefix: &str) {
     let indent = "    ".repeat(1 + prefix.matches('/').count());
     let mut parts: Vec<&str> = Vec::new();

@@ -1,11 +1,11 @@
-//! One file of a graph as read, before any name in it is looked up.
+//! One graph file as parsed, before names are resolved.
 
 use crate::checked::{Align, Deny, Machine, Mode, OnFault};
 use crate::diagnostic::Diagnostics;
 use crate::value::{Spanned, Table};
 use std::ops::Range;
 
-/// What one file says.
+/// Content of one file.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FileText {
     pub(crate) name: Option<Spanned<String>>,
@@ -29,7 +29,7 @@ pub(crate) struct FileText {
     pub(crate) incomplete: bool,
 }
 
-/// What a file is to the graph.
+/// How a file belongs to the graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     Graph,
@@ -57,7 +57,7 @@ pub(crate) struct Export {
 #[derive(Clone, Debug)]
 pub(crate) struct MachineText {
     pub(crate) name: Spanned<String>,
-    /// As it is used; the address is empty where the file gives none.
+    /// Its settings; the address is empty where the file gives none.
     pub(crate) machine: Machine,
 }
 

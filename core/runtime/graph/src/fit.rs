@@ -8,7 +8,7 @@ use crate::catalog::{Catalog, NodeType};
 use crate::file::{InputText, NodeText, RefText};
 use crate::text::GraphText;
 
-/// What is no longer there.
+/// Nodes and ports that overlays removed.
 struct Absent<'a> {
     text: &'a GraphText,
     catalog: &'a Catalog,
@@ -45,7 +45,7 @@ impl Absent<'_> {
         is_optional(input) && self.only_others_have(node, |t| t.input(&input.port.value).is_some())
     }
 
-    /// Whether the type of the node lacks what another type has. What no type has is a spelling mistake.
+    /// Whether the node's type lacks a name that another type has. A name that no type has is a spelling mistake.
     fn only_others_have(&self, node: &NodeText, has: impl Fn(&NodeType) -> bool) -> bool {
         let types = node.type_name.as_ref().map_or_else(Vec::new, |name| self.catalog.find(&name.value));
         !types.is_empty()

@@ -40,10 +40,10 @@ pub enum HomeEntry {
 }
 
 impl HomeEntry {
-    /// Sets the value in the text of the home's file, or with `None` takes it out.
+    /// Sets the value in the text of the home's file, or with `None` removes it.
     ///
     /// # Errors
-    /// The text cannot be edited like that.
+    /// The text cannot be edited this way.
     pub fn set(&self, edit: &mut GraphEdit, value: Option<&toml::Value>) -> Result<(), EditError> {
         match (self, value) {
             (Self::Param { node, param }, Some(value)) => edit.set_param(node, param, value),

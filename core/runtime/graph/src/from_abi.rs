@@ -1,8 +1,9 @@
-//! Between the plugins' contract and the plain types of this crate: descriptors become catalog entries after every field was
-//! looked at, checked values become the snapshot that a call carries. Only with the feature `abi`.
+//! Between the plugins' contract and the plain types of this crate: descriptors become catalog entries after every
+//! field was checked, checked values become the snapshot that a call carries. Only with the feature `abi`.
 //!
-//! A descriptor may come from C, so nothing in it is trusted: pointers, lengths, texts, names and limits are checked and a
-//! error names its location, for the plugin's author. What cannot be checked is whether a non-null pointer is valid.
+//! A descriptor may come from C, so nothing in it is trusted: pointers, lengths, texts, names and limits are checked
+//! and an error names its location, for the plugin's author. What cannot be checked is whether a non-null pointer is
+//! valid.
 
 mod node_type;
 mod validator;
@@ -23,13 +24,13 @@ use crate::param::{Param, ParamKind, ParamValue, Pick};
 /// Why a plugin's descriptor cannot be used.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum FromAbiError {
-    /// The entry function answered a null pointer.
+    /// The entry function returned a null pointer.
     #[error("`panoscope_plugin` answered a null pointer")]
     NoDescriptor,
-    /// The descriptor does not open with the magic number.
+    /// The descriptor does not begin with the magic number.
     #[error("the descriptor opens with {found:#018x} instead of PANOSCOPE_MAGIC: this is no Panoscope plugin")]
     Magic {
-        /// What is there instead.
+        /// Value found instead.
         found: u64,
     },
     /// Another major version of the contract.
@@ -82,7 +83,7 @@ pub enum FromAbiError {
         /// Which field.
         field: &'static str,
     },
-    /// A name that a graph file could not write.
+    /// A name that is not valid in graph files.
     #[error("{place}: `{name}` is no name: names are letters, digits and `_`, and begin with a letter")]
     Name {
         /// Where.
@@ -228,7 +229,7 @@ unsafe fn ports(node_place: &str, what: &'static str, ports: &[abi::Port]) -> Re
     Ok(out)
 }
 
-/// The only format of packets that are planes but no `image`.
+/// The only format of packets that are planes but not `image`.
 fn fixed_format(packet: &str) -> Option<u32> {
     match packet {
         "mask" => Some(abi::FORMAT_GRAY8),
@@ -281,7 +282,7 @@ unsafe fn params(node_place: &str, params: &[abi::Param]) -> Result<Vec<Param>> 
     Ok(out)
 }
 
-/// How a person picks the value; a path always names a file.
+/// How a user picks the value; a path always names a file.
 fn pick(place: &str, param: &abi::Param) -> Result<Pick> {
     let set = |flag: u32| param.flags & flag != 0;
     let (points, rectangles, file) = (set(abi::PARAM_POINTS), set(abi::PARAM_RECTANGLES), set(abi::PARAM_FILE));

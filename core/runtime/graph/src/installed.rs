@@ -44,19 +44,19 @@ fn choose(current: PathBuf, data_home: Option<PathBuf>) -> PathBuf {
     }
 }
 
-/// What a user is told who opens a graph file of an installation.
+/// Notice for a user who opens an installed graph file.
 pub fn notice(graph: &Path) -> Option<String> {
     let root = data_dir(graph.parent().unwrap_or(Path::new("")))?;
     let (root, output) = (root.display(), output_dir());
     Some(format!("this graph belongs to the installation in {root}; the files it writes go to {}", output.display()))
 }
 
-/// Where a written path of an installed file lies, for a relative path.
+/// Absolute path of a relative path that an installed graph writes.
 pub(crate) fn output(written: &str) -> PathBuf {
     output_dir().join(inside(Path::new(written)))
 }
 
-/// A relative path without the parts that climb out of its folder.
+/// A relative path without the leading `..` components.
 fn inside(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {

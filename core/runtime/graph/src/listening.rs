@@ -18,7 +18,7 @@ pub struct Listener {
     pub what: &'static str,
     /// Where it listens when only a port is given, or what an address must be.
     pub default_address: &'static str,
-    /// What others may do.
+    /// What other programs may do through it.
     pub access: &'static str,
 }
 
@@ -36,7 +36,7 @@ pub struct Listening {
 }
 
 impl Listening {
-    /// Who can reach it, in words.
+    /// Who can reach it, as text.
     pub fn reach(&self) -> &'static str {
         if self.is_public { "other machines can reach it" } else { "this machine only" }
     }

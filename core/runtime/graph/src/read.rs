@@ -7,7 +7,7 @@ use std::path::Path;
 /// Maximum number of bytes of one file of a graph.
 pub(crate) const MAX_BYTES: u64 = 16 << 20;
 
-/// Reads a file that a graph names or is. A device or a pipe is refused, because reading it need not end.
+/// Reads a file that a graph names or is. A device or a pipe is refused, because reading it may never end.
 ///
 /// # Errors
 /// The system's error; [`io::ErrorKind::IsADirectory`] for a folder, [`io::ErrorKind::InvalidInput`] for what is not a regular file and

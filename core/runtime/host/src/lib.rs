@@ -2,7 +2,7 @@
 //!
 //! - [`loader`]: finds, verifies and maps plugins; opens graph files; locks and signatures.
 //! - [`isolate`]: runs nodes in separate processes, also on other machines.
-//! - [`attach`]: serves windows of other machines on a running graph, and is their end of it.
+//! - [`attach`]: serves windows of other machines on a running graph, and implements the window's end.
 //! - [`audit`]: the audit log of the theatre.
 
 pub mod attach;

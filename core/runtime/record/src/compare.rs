@@ -24,13 +24,13 @@ pub struct PortDifference {
     pub missing: usize,
     /// First tick that differs or is missing in one run: source slot and number.
     pub first: Option<(u32, u64)>,
-    /// By how much the differing packets differ, where both recordings contain them.
+    /// Amount of the differences, if both recordings contain the packets.
     pub amount: Option<Amount>,
     /// First tick that only one run has.
     first_missing: Option<(u32, u64)>,
 }
 
-/// By how much images, tables, clouds or bytes differ.
+/// Amount of differences of images, tables, clouds or bytes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Amount {
     /// Largest absolute difference of two values; for clouds the largest distance of two points in mm. Unknown packet types are compared by bytes.
@@ -45,7 +45,7 @@ pub struct Amount {
     pub content: Content,
 }
 
-/// The kind of content of the packets, and where it differs.
+/// Kind of the packets' content, and where it differs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Content {
     /// Images, or bytes of an unknown packet type.
@@ -59,7 +59,7 @@ pub enum Content {
         farthest: Option<(u64, usize, usize)>,
         /// Number of points that only one recording has, over all packets.
         only_in_one: u64,
-        /// Number of points whose colour differs.
+        /// Number of points with another colour.
         recoloured: u64,
     },
 }

@@ -47,9 +47,9 @@ pub(crate) struct RecordFile {
     packer: Packer,
     /// Length up to the end of the last complete message.
     complete_len: u64,
-    /// Number of source ticks handed to the operating system.
+    /// Number of source ticks written to the operating system.
     ticks: u64,
-    /// Where each of the later source ticks ends.
+    /// Offset of the end of each later source tick.
     pending_ticks: VecDeque<u64>,
 }
 
@@ -74,7 +74,7 @@ impl RecordFile {
         Ok(this)
     }
 
-    /// Writes the buffer as a message; returns where it ends.
+    /// Writes the buffer as a message; returns the offset of its end.
     fn message(&mut self, header: &MessageHeader) -> io::Result<u64> {
         self.mcap.message(header, &self.buffer)?;
         let end = self.mcap.len();
@@ -105,7 +105,7 @@ impl RecordFile {
         Ok(())
     }
 
-    /// Writes a packet; with `compresses`, shorter where that is possible.
+    /// Writes a packet; with `compresses`, in compressed form if that is shorter.
     pub fn packet(&mut self, port: &str, frame: &FrameRef, hash: u64, compresses: bool) -> io::Result<()> {
         let (channel, sequence) = match self.channels.get_mut(port) {
             Some((channel, sequence)) => {
@@ -154,7 +154,7 @@ impl RecordFile {
         Ok(())
     }
 
-    /// Number of source ticks handed to the operating system.
+    /// Number of source ticks written to the operating system.
     pub fn ticks(&self) -> u64 {
         self.ticks
     }

@@ -1,4 +1,4 @@
-//! Reads a recording: scans it once, and loads packets when they are needed.
+//! Reads a recording: scans it once, and loads packets on demand.
 //!
 //! A truncated file ends at its last complete message. Damage ends it too, and its position is reported.
 
@@ -30,10 +30,10 @@ const FOOTER_BYTES: usize = 9 + 20;
 const MAX_EVENT: u64 = 256 << 20;
 /// Maximum length of a packet.
 const MAX_PACKET: u64 = 1 << 30;
-/// Maximum length of a packet that takes less space in the file: a short file must not take all memory.
+/// Maximum length of a packet that is compressed in the file, because a short file must not exhaust memory.
 const MAX_PACKED: u64 = 1 << 28;
 
-/// Why a recording cannot be used.
+/// A recording that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file cannot be read.
@@ -76,7 +76,7 @@ pub enum RecordingError {
         /// Version that wrote it.
         version: String,
     },
-    /// A packet is not what was written.
+    /// A packet is damaged.
     #[error("{} is damaged at byte {at}: packet {seq} of `{port}` is not what was recorded", .file.display())]
     Damaged {
         /// The file.
@@ -105,11 +105,11 @@ pub enum RecordingError {
 pub struct Packet {
     /// The packet's description.
     pub head: PacketHead,
-    /// Offset in the file of the bytes that are stored of it.
+    /// Offset in the file of its stored bytes.
     pub at: u64,
-    /// Their number.
+    /// Number of stored bytes.
     pub stored: u64,
-    /// How they are stored.
+    /// Storage of the bytes.
     pub coding: Coding,
 }
 
@@ -128,14 +128,14 @@ pub struct SourceTick {
     pub packets: Vec<(String, Packet)>,
 }
 
-/// Where and why a recording ends early.
+/// Offset and reason of an early end of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
     /// Length of the usable part in bytes.
     pub at: u64,
-    /// What was found there instead of a message.
+    /// Content found there instead of a message.
     pub reason: String,
-    /// Whether it is damaged there, not truncated: then recorded data after this point is lost.
+    /// Whether it is damaged there and not truncated, so that recorded data after this point is lost.
     pub damaged: bool,
 }
 
@@ -152,7 +152,7 @@ pub struct Recording {
     pub sources: BTreeMap<String, Vec<SourceTick>>,
     /// Packets of each recorded port, by `node.port`.
     pub ports: BTreeMap<String, Vec<Packet>>,
-    /// Where it was truncated or damaged; `None` when it is complete.
+    /// Position of truncation or damage; `None` when it is complete.
     pub cut: Option<Cut>,
     /// Whether its messages have checksums; those of format 1 do not.
     pub checked: bool,
@@ -177,11 +177,11 @@ struct Scan {
     pending: HashMap<String, Vec<(String, Packet)>>,
     /// Length and checksum of the data section, if it has one.
     data_sum: Option<(u64, u32)>,
-    /// Packets whose bytes are stored, by their place: how, in how many bytes, and of how many.
+    /// Packets with stored bytes, by offset: storage, stored length and length.
     places: HashMap<u64, (Coding, u64, u64)>,
 }
 
-/// Why the scan ends.
+/// End of the scan.
 enum Stop {
     End,
     Cut(String),
@@ -297,7 +297,7 @@ impl Recording {
         )
     }
 
-    /// Where the data ends, if its checksum is not what was recorded.
+    /// Checks the data section; returns its end if its checksum is wrong.
     fn verify_data(&self) -> std::io::Result<Option<u64>> {
         let Some((len, sum)) = self.data_sum else { return Ok(None) };
         let (mut hash, mut bytes) = (crc32fast::Hasher::new(), vec![0; 1 << 20]);
@@ -322,7 +322,7 @@ impl Recording {
         self.sources.values().map(Vec::len).sum()
     }
 
-    /// Reads the bytes of a packet and checks them.
+    /// Reads and checks the bytes of a packet.
     pub fn bytes(&self, port: &str, packet: &Packet) -> Result<Vec<u8>, RecordingError> {
         let mut bytes = vec![0; packet.head.len as usize];
         self.read(port, packet, &mut bytes)?;
@@ -412,7 +412,7 @@ impl Scan {
         Ok(body)
     }
 
-    /// Reads one record and moves `at` behind it if it is complete.
+    /// Reads one record and moves `at` past it if it is complete.
     fn record(&mut self) -> Result<(), Stop> {
         if self.at == self.len {
             return Err(Stop::Cut("it was not finished".to_owned()));
@@ -559,7 +559,7 @@ impl Scan {
         Ok(())
     }
 
-    /// Checks MCAP's index behind the data, which has its own checksum. Returns how the recording ends.
+    /// Checks MCAP's index after the data, which has its own checksum. Returns how the recording ends.
     fn index(&mut self, end_len: u64) -> Stop {
         let read = |this: &mut Self, len: u64| if len > MAX_INDEX { Ok(Vec::new()) } else { this.body(len) };
         let end = match read(self, end_len) {
@@ -588,7 +588,7 @@ impl Scan {
         if whole { Stop::End } else { Stop::Damaged("its index is not what was recorded".to_owned()) }
     }
 
-    /// The reason when a head cannot be read: it may be of another version.
+    /// The reason why a head cannot be read, such as another version.
     fn foreign_head(&self, body: &[u8]) -> Stop {
         let value: serde_json::Value = serde_json::from_slice(body).unwrap_or_default();
         let format = value.get("format").and_then(serde_json::Value::as_u64);

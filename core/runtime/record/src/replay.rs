@@ -22,7 +22,7 @@ pub struct ReplayOptions {
     pub graph: Option<(PathBuf, String)>,
     /// `node.param=value` settings; override the recorded values.
     pub settings: Vec<String>,
-    /// Whether nodes with side effects run, which write files or move an arm. Otherwise they are skipped.
+    /// Whether nodes with side effects, which write files or move an arm, run; otherwise they are skipped.
     pub act: bool,
     /// How to record the replay itself; `None` to not record it.
     pub record: Option<RecordOptions>,
@@ -32,7 +32,7 @@ pub struct ReplayOptions {
     pub engine: Options,
 }
 
-/// Why a recording was not replayed, or not to its end.
+/// A replay that failed or ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
     /// The graph has mistakes with the plugins and files of this machine.
@@ -83,12 +83,12 @@ pub enum ReplayError {
     /// A part of the recording could not be replayed.
     #[error("{reason}")]
     Incomplete {
-        /// Which part, and why.
+        /// The part and the reason.
         reason: String,
     },
 }
 
-/// Why a recorded graph does not fit the plugins of this machine.
+/// A recorded graph that does not fit the plugins of this machine.
 #[derive(Debug, thiserror::Error)]
 pub enum StaleError {
     /// No plugin has the node type.
@@ -123,9 +123,9 @@ pub struct Replay {
     script: Arc<Script>,
     loader: Arc<Loader>,
     recorder: Option<Arc<Recorder>>,
-    /// Message about the early end of the recording, which it has from damage or a run that was cut off.
+    /// Message about an early end of the recording, by damage or an interrupted run.
     cut: Option<String>,
-    /// What differs from the machine and files of the recording.
+    /// Differences from the machine and files of the recording.
     pub warnings: Vec<String>,
 }
 
@@ -327,7 +327,7 @@ fn resolve(graph: &mut Graph, catalog: &Catalog) -> Result<(), StaleError> {
     Ok(())
 }
 
-/// Warnings about why the bytes of a replay may differ from the recorded run.
+/// Warnings of differences that may change the bytes of a replay.
 fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: &Loader, other: bool) -> Vec<String> {
     let mut warnings = Vec::new();
     if !recording.checked {

@@ -63,7 +63,7 @@ struct HeadScript {
     edits: Vec<(u64, usize)>,
 }
 
-/// The decisions of a recording, by node.
+/// Input ages by node, then by slot of the source and number of the tick.
 pub struct Script {
     recording: Arc<Recording>,
     sources: HashMap<String, SourceScript>,
@@ -180,7 +180,7 @@ impl Script {
         values
     }
 
-    /// Why the replay ended early, if it did.
+    /// Reason of an early end of the replay, if there was one.
     pub fn failure(&self) -> Option<&str> {
         self.failed.get().map(String::as_str)
     }

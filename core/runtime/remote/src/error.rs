@@ -13,7 +13,7 @@ use crate::h264::Unusable;
 use crate::keys::KeysError;
 use crate::network::NetworkError;
 
-/// Why a link, a server or a connection of a window ends or does not start.
+/// A link, a server or a connection of a window that ended or did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteError {
     /// A user started a program that needs the socket of its parent.
@@ -41,7 +41,7 @@ pub enum RemoteError {
         /// The name.
         name: String,
     },
-    /// A server that would serve nobody.
+    /// A server without hosts.
     #[error("no host may run nodes here; name them with --allow, as in --allow theatre")]
     NoHosts,
     /// A graph that no window may attach to.
@@ -86,7 +86,7 @@ pub enum RemoteError {
         /// Whether certificates were exchanged.
         is_tls: bool,
     },
-    /// The machine listens but does not greet.
+    /// The machine listens but does not answer the greeting.
     #[error(
         "it does not answer within {} s: `panoscope serve` there has another --name than `{machine}`, or does not --allow this host",
         timeout.as_secs_f64()
@@ -97,7 +97,7 @@ pub enum RemoteError {
         /// Time in which it counts as lost.
         timeout: Duration,
     },
-    /// Two builds that do not understand each other.
+    /// Two builds with different protocols.
     #[error("the versions differ: {host} on the host, {own} on `{machine}`; install the same on both")]
     Version {
         /// Version of the host.
@@ -107,7 +107,7 @@ pub enum RemoteError {
         /// This machine.
         machine: String,
     },
-    /// This machine cannot code pixels as the graph asks.
+    /// This machine cannot encode pixels as the graph requires.
     #[error("{cause} on `{machine}`")]
     Pixels {
         /// What is missing.
@@ -115,7 +115,7 @@ pub enum RemoteError {
         /// This machine.
         machine: String,
     },
-    /// A host that is gone.
+    /// A host that is silent for too long.
     #[error("nothing was heard of the host for {} s", silence.as_secs_f64())]
     HostSilent {
         /// Time without a message.
@@ -149,7 +149,7 @@ pub enum RemoteError {
         /// The system's error.
         cause: io::Error,
     },
-    /// Two builds of one plugin.
+    /// The plugin differs between the machines.
     #[error(
         "plugin {} differs: SHA-256 {sha256} on the host, {own} on `{machine}` ({}); install the same build on both",
         path.display(),
@@ -208,13 +208,13 @@ pub enum RemoteError {
     /// The process that runs the nodes does not start.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// The network refuses.
+    /// An error of the network.
     #[error(transparent)]
     Network(#[from] NetworkError),
-    /// zenoh refuses.
+    /// An error of zenoh.
     #[error(transparent)]
     Zenoh(#[from] zenoh::Error),
-    /// The system refuses.
+    /// An error of the system.
     #[error(transparent)]
     System(#[from] io::Error),
 }

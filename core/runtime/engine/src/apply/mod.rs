@@ -30,10 +30,10 @@ use crate::region::Region;
 use crate::schedule::Ready;
 use crate::sync::lock;
 
-/// Longest wait for the ticks inside a region.
+/// Maximum wait for the ticks inside a region.
 const MAX_DRAIN: Duration = Duration::from_secs(10);
 
-/// Longest wait for the threads of nodes that were removed.
+/// Maximum wait for the threads of nodes that were removed.
 const MAX_LEAVE: Duration = Duration::from_secs(2);
 
 impl Engine {
@@ -47,8 +47,8 @@ impl Engine {
         self.apply_when(graph, catalog, plugins, &When::Now)
     }
 
-    /// Like [`Self::apply`], switched between two named ticks: for each source of `at`, the tick of that number is the first that meets the
-    /// new graph. Blocks until these ticks have come.
+    /// Like [`Self::apply`], but switched at given ticks: for each source of `at`, the tick of that number is the first
+    /// that meets the new graph. Blocks until these ticks have come.
     ///
     /// # Errors
     /// As [`Self::apply`], and when such a tick has already entered the graph.
@@ -134,7 +134,7 @@ impl Engine {
         Ok(switch.run(change, graph, early))
     }
 
-    /// Waits for the ticks that come before the change.
+    /// Waits for the ticks before the change.
     fn come_to(&self, old: &Plan, change: &Change, when: &When<'_>) -> Result<(), ApplyError> {
         let shared = &self.shared;
         let mut named = Vec::new();
@@ -211,7 +211,7 @@ impl Engine {
         }
     }
 
-    /// Opens the instances that may be open beside the running nodes.
+    /// Opens the instances that may be open next to the running nodes.
     fn open_early(&self, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
         // A decider sets the tick at which a node continues with a new instance.
         let scripted = self.shared.context.decider.is_some();
@@ -295,7 +295,7 @@ impl Engine {
         }
     }
 
-    /// Transfers the states of replaced nodes to their successors, which are open beside them. All are at rest.
+    /// Transfers the states of replaced nodes to their successors, which are open at the same time. All are at rest.
     fn transfer_states(&self, old: &Plan, change: &Change, early: &mut Vec<Opened>) -> Result<(), ApplyError> {
         let mut rest = std::mem::take(early).into_iter();
         let mut failed = Ok(());

@@ -62,7 +62,7 @@ impl NodeRuntime {
         self.report_fault(context, Cause::Error, done, Some(tick.seq), None, words);
     }
 
-    /// Saves where a failed source is. From its start it would meet the same fault again, forever.
+    /// Saves where a failed source is. From its start it would repeat the same fault forever.
     #[cold]
     fn save_position(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
         if !exec.source || !exec.instance.saves_state() {

@@ -449,7 +449,7 @@ impl NodeRuntime {
         (status, refused)
     }
 
-    /// Withholds outputs beyond whose end the node wrote: the next buffer, of any node, may be damaged.
+    /// Withholds outputs whose end the node overran: the next buffer, of any node, may be damaged.
     fn find_overruns(&self, written: u64, refused: &mut Option<Refused>, made: &mut CallOutputs) {
         for (index, frame) in made.outputs.iter_mut().enumerate() {
             if written & output_bit(index as u32) == 0 || frame.is_empty() || memory().is_intact(frame.buffer) {
@@ -500,7 +500,7 @@ impl NodeRuntime {
         }
     }
 
-    /// Passes to the observer what the node was answered about the time of its inputs, and to its readers the age that it declared.
+    /// Passes the input ages that the node received to the observer, and the age that it declared to its readers.
     #[cold]
     fn take_times(&self, tick: &mut Tick, call: &mut CallContext<'_>, outputs: &mut [abi::Frame]) {
         let run = call.context;

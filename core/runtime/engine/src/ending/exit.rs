@@ -27,8 +27,8 @@ pub fn leave(code: i32) -> ! {
     }
 }
 
-/// The guarded functions: a call from a node's code, or while a graph runs, is reported, files are finished and the exit status is 1.
-/// All other calls reach C's own function.
+/// A guarded exit function was called. A call from a node's code, or while a graph runs, is reported, files are
+/// finished and the exit status is 1. All other calls reach C's own function.
 pub fn called(code: c_int, call: ExitCall) -> ! {
     // A forked child that could not start its program also ends like this.
     if !crash::is_ours() {

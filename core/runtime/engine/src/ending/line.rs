@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Whether lines are JSON objects.
 static JSON_LINES: AtomicBool = AtomicBool::new(false);
 
-/// From here on each line is a JSON object with `unix_ms`, `level`, `node` and `message`.
+/// Makes each further line a JSON object with `unix_ms`, `level`, `node` and `message`.
 pub fn write_json_lines() {
     JSON_LINES.store(true, Ordering::Relaxed);
 }

@@ -16,7 +16,7 @@ pub mod signals;
 pub use exit::{ExitCall, called, leave};
 pub use line::write_json_lines;
 
-/// Reports crashes of plugins from now on. Call once, first thing in `main`.
+/// Installs the reporting of plugin crashes. Call once, first thing in `main`.
 pub fn install() {
     rescue::start();
     crash::install();

@@ -19,7 +19,7 @@ pub(super) const LIMIT: Duration = Duration::from_secs(5);
 /// Time limit for passing on log lines and faults.
 pub(super) const LINES: Duration = Duration::from_millis(500);
 
-/// Where the rescue thread waits: a pipe, because a signal handler can write to one.
+/// Pipe on which the rescue thread waits, because a signal handler can write to a pipe.
 static WAKE: AtomicI32 = AtomicI32::new(-1);
 static THREAD: AtomicI32 = AtomicI32::new(0);
 static DONE: AtomicBool = AtomicBool::new(false);
@@ -29,7 +29,7 @@ static VICTIM: AtomicPtr<NodeNames> = AtomicPtr::new(std::ptr::null_mut());
 /// Graphs that run.
 static ENGINES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// Registers a graph that runs from now on.
+/// Registers a running graph.
 pub(crate) fn register(shared: &Arc<Shared>) {
     let mut engines = lock(&ENGINES);
     engines.retain(|engine| engine.strong_count() > 0);

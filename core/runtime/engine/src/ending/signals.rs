@@ -22,7 +22,7 @@ const SIGNALS: [c_int; 6] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SI
 const ONE_REQUEST_MS: i64 = 1000;
 /// How long nodes may continue to open after a request to end.
 const OPENING: Duration = Duration::from_secs(1);
-/// How long the code that watches may take to notice.
+/// Time limit for the watching code to acknowledge.
 const NOTICE: Duration = Duration::from_secs(5);
 
 /// The signal that requested an end; 0 for none.
@@ -172,7 +172,7 @@ pub fn install() -> std::io::Result<()> {
     Ok(())
 }
 
-/// The signal that requested an end, if any. The caller has to end the run then.
+/// The signal that requested an end, if any. The caller must then end the run.
 pub fn asked() -> Option<Signal> {
     let signal = ASKED.load(Ordering::Acquire);
     if signal == 0 {

@@ -10,8 +10,8 @@ use crate::observe::Observer;
 use crate::preview::{Listener, NumberListener};
 use crate::trace::Tracer;
 
-/// Environment variable with the default of [`Options::hang`], a whole number of ms above 0: for machines so busy that a sound call takes longer than
-/// [`HANG_MS`]. Anything else counts as not set.
+/// Environment variable with the default of [`Options::hang`], a whole number of ms above 0: for machines so busy that
+/// a healthy call takes longer than [`HANG_MS`]. Anything else counts as not set.
 const HANG_VARIABLE: &str = "PANOSCOPE_HANG_MS";
 const HANG_MS: u64 = 2000;
 
@@ -49,7 +49,7 @@ pub struct Options {
     pub tracer: Option<Arc<dyn Tracer>>,
     /// Makes the decisions that otherwise depend on time, for example to replay a run.
     pub decider: Option<Arc<dyn Decider>>,
-    /// Ports whose packets a listener receives, all of them.
+    /// Listeners that receive all packets of a port.
     pub listen: Vec<Listener>,
     /// Nodes whose metrics a listener receives, each when the node reports it; one listener for a node.
     pub numbers: Vec<NumberListener>,
@@ -62,7 +62,8 @@ pub struct Options {
     pub close_limit: Duration,
     /// Maximum number of bytes of private memory that the process of a group of isolated nodes may have.
     pub group_memory_bytes: u64,
-    /// Whether what the process of a group writes to its standard error goes into the words about its end, and not to that of this process.
+    /// Whether the standard error of a group's process goes into the message about its end instead of to this process's
+    /// standard error.
     pub keep_group_stderr: bool,
     /// Heap allocations of the process so far, where the program counts them.
     pub process_allocations: Option<fn() -> u64>,

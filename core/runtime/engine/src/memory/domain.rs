@@ -8,7 +8,7 @@ use panoscope_abi::BufferId;
 use super::{Backing, DOMAINS, Memory, MemoryError, PRIVATE, Pool, PoolFile, memory};
 use crate::sync::lock;
 
-/// Why there is no further domain.
+/// No domain is free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{most} groups of isolated nodes have frames in use; a process has memory for no more")]
 pub struct DomainError {
@@ -41,7 +41,7 @@ impl Shared {
     }
 }
 
-/// Pools whose frames another process can map. Dropping it gives the memory back, each pool as soon as nobody holds a frame of it.
+/// Pools whose frames another process can map. Dropping it releases the memory, each pool once no frame of it is held.
 #[derive(Debug)]
 pub struct Domain(u32);
 
@@ -66,7 +66,7 @@ impl Domain {
         Ok(Self(number))
     }
 
-    /// Its number, for [`Memory::allocate_in`].
+    /// Number of the domain, for [`Memory::allocate_in`].
     pub fn number(&self) -> u32 {
         self.0
     }

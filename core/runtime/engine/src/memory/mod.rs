@@ -41,7 +41,7 @@ pub struct Memory {
     allocations: AtomicU64,
 }
 
-/// Why no buffer could be allocated.
+/// A buffer could not be allocated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MemoryError {
     /// The limit is reached or the pool has no slot left.
@@ -68,7 +68,7 @@ fn bits_for(len: usize) -> u32 {
     (usize::BITS - (bytes - 1).leading_zeros()).max(MIN_BITS)
 }
 
-/// Maximum number of bytes of a frame in the buffer that is handed out for a frame of `len` bytes.
+/// Maximum number of bytes of a frame that fits into the buffer for a frame of `len` bytes.
 pub fn room_for(len: usize) -> usize {
     1usize.checked_shl(bits_for(len)).map_or(len, |bytes| bytes - CANARY_BYTES)
 }
@@ -92,7 +92,7 @@ impl Memory {
         self.limit_bytes.store(limit, Ordering::Relaxed);
     }
 
-    /// See [`Self::set_limit_bytes`].
+    /// Limit of [`Self::set_limit_bytes`].
     pub fn limit_bytes(&self) -> i64 {
         self.limit_bytes.load(Ordering::Relaxed)
     }
@@ -262,7 +262,7 @@ impl FrameRef {
         Self(frame)
     }
 
-    /// Becomes empty without releasing its reference, which somebody else took over.
+    /// Becomes empty without releasing its reference, which another owner took over.
     #[inline]
     pub(crate) fn forget(&mut self) {
         self.0 = Frame::EMPTY;

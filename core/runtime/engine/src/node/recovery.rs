@@ -10,7 +10,7 @@ use crate::exec::Exec;
 use crate::instance::Instance;
 use crate::sync::lock;
 
-/// See the module.
+/// Failures and restarts of a node; see the module.
 #[derive(Default)]
 pub(crate) struct Recovery {
     /// Failed instances, closed off the hot path.
@@ -94,7 +94,7 @@ impl Recovery {
         self.stuck.fetch_add(1, Ordering::Relaxed) + 1
     }
 
-    /// An abandoned call returned after all.
+    /// Counts an abandoned call that returned.
     pub fn remove_stuck(&self) {
         self.stuck.fetch_sub(1, Ordering::Relaxed);
     }
@@ -104,12 +104,12 @@ impl Recovery {
         self.stuck.load(Ordering::Relaxed)
     }
 
-    /// Saves where a failed source was.
+    /// Saves the position of a failed source.
     pub fn save_position(&self, _exec: &mut Exec, state: Vec<u8>) {
         *lock(&self.position) = Some(state);
     }
 
-    /// Keeps where an isolated source is now.
+    /// Keeps the position of an isolated source.
     pub fn keep_position(&self, state: &[u8]) {
         let mut kept = lock(&self.kept_position);
         let kept = kept.get_or_insert_default();
@@ -124,13 +124,13 @@ impl Recovery {
         }
     }
 
-    /// The node has another instance, which has positions of its own.
+    /// Drops the kept position, because the node has another instance with other positions.
     pub fn forget_kept_position(&self) {
         *lock(&self.kept_position) = None;
     }
 
-    /// Where a failed source was. The caller puts back only what an instance understood, so that an instance that hangs on it is not
-    /// given it twice.
+    /// Position of a failed source. The caller puts back only what an instance understood, so that an instance that
+    /// hangs on it does not get it twice.
     pub fn take_position(&self) -> Option<Vec<u8>> {
         lock(&self.position).take()
     }

@@ -60,7 +60,8 @@ pub(crate) struct Shared {
     pub own_threads: Mutex<HashMap<u32, OwnThread>>,
     /// A call without a budget that takes longer counts as hung.
     pub hang_ns: u64,
-    /// When the run was asked to end, 0 before; a call that takes longer than `stop_limit_ns` from then on counts as hung, too.
+    /// When the run was asked to end, 0 before. From then on a call that takes longer than `stop_limit_ns` counts as
+    /// hung.
     pub stop_ns: AtomicU64,
     pub stop_limit_ns: u64,
     /// Media time between two ticks of the fastest source.
@@ -115,7 +116,7 @@ impl Ready {
     }
 }
 
-/// What to do with a node after an attempt to take its next tick.
+/// What a node does after an attempt to take its next tick.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Next {
     Run,
@@ -529,7 +530,7 @@ impl Shared {
         }
     }
 
-    /// Counts a node that is finished or removed.
+    /// Counts a finished or removed node.
     pub fn one_finished(&self) {
         if self.unfinished.fetch_sub(1, Ordering::AcqRel) == 1 {
             self.end_ns.store(clock::now_ns(), Ordering::Relaxed);
@@ -553,7 +554,7 @@ impl Shared {
         self.finished.notify_all();
     }
 
-    /// Asks the sources to end.
+    /// Ends the sources.
     pub fn stop(&self) {
         let _ = self.stop_ns.compare_exchange(0, clock::now_ns().max(1), Ordering::Relaxed, Ordering::Relaxed);
         self.stopping.store(true, Ordering::Release);
@@ -588,7 +589,7 @@ fn prefetch_next(links: &[Link], at: usize) {
     }
 }
 
-/// Whether a reader accepts a frame.
+/// Whether a reader accepts the format of a frame.
 #[inline]
 fn takes(accepts: u32, frame: &Frame) -> bool {
     accepts == 0 || frame.is_empty() || (frame.format < 32 && accepts >> frame.format & 1 == 1)

@@ -61,7 +61,7 @@ impl<'a> Checker<'a> {
         near.or(only)
     }
 
-    /// List or not.
+    /// Checks whether the input may be written as a list.
     fn shape(&mut self, input: &InputText, declared: Option<&Port>) {
         let Some(port) = declared else { return };
         if input.is_list && !port.list {

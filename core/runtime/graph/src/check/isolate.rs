@@ -1,4 +1,4 @@
-//! Which nodes run in processes of their own, and which cannot.
+//! Which nodes run in separate processes, and which cannot.
 
 use std::path::PathBuf;
 
@@ -93,7 +93,7 @@ impl Checker<'_> {
         }
     }
 
-    /// Which nodes run on which machine, and which cannot.
+    /// Checks which nodes run on which machine.
     fn machines(&mut self) {
         let text = self.text;
         let machines = || text.machines.iter().map(|known| known.name.value.as_str());
@@ -144,7 +144,7 @@ impl Checker<'_> {
         }
     }
 
-    /// What H.264 does to nodes of machines and behind them.
+    /// Warns of lossy H.264 pixels at nodes of machines and downstream of them.
     fn coded_pixels(&mut self) {
         let text = self.text;
         let nodes = &text.flat.nodes;
@@ -188,7 +188,8 @@ impl Checker<'_> {
         }
     }
 
-    /// One program runs a group: nodes of two Python environments, or of Python and of a library, cannot share it.
+    /// Checks that one program can run each group: nodes of two Python environments, or of Python and of a library,
+    /// cannot share it.
     fn interpreters(&mut self) {
         let text = self.text;
         let mut first: Vec<(&str, &Option<PathBuf>, String)> = Vec::new();

@@ -87,7 +87,7 @@ impl<'a> Checker<'a> {
         values
     }
 
-    /// A default file that is not there, unless `--set` gives another.
+    /// Reports a missing default file, unless `--set` gives another.
     fn default_file(&mut self, index: usize, node: &'a NodeText, node_type: &NodeType, param: &Param) {
         let ParamKind::Path { default, must_exist: true } = &param.kind else { return };
         let replaced =
@@ -177,7 +177,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Where a default stands: beside the plugin when it comes with it, else beside the graph file.
+    /// Path of a default: next to the plugin when it is shipped with it, else next to the graph file.
     fn default_path(&self, node_type: &NodeType, param: &Param, default: &str) -> PathBuf {
         match param.shipped && !default.is_empty() {
             true => node_type.shipped_dir.join(default),
@@ -185,7 +185,8 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// The path of a parameter: relative to the file that the span lies in; a written one of an installed file to the folder for outputs.
+    /// The path of a parameter: relative to the file that contains the span; for written paths of installed graphs, to
+    /// the folder for outputs.
     fn resolve_param(&self, span: &Range<usize>, param: &Param, path: &str) -> PathBuf {
         let is_relative = !path.is_empty() && Path::new(path).is_relative();
         if param.writes && is_relative && installed::data_dir(&self.text.sources.of(span).dir).is_some() {
@@ -199,7 +200,7 @@ impl<'a> Checker<'a> {
         self.resolve_at(&(0..0), path)
     }
 
-    /// A path that is relative to the file that a span lies in.
+    /// A path that is relative to the file that contains a span.
     pub(super) fn resolve_at(&self, span: &Range<usize>, path: &str) -> PathBuf {
         if path.is_empty() { PathBuf::new() } else { self.text.sources.of(span).dir.join(path) }
     }

@@ -88,7 +88,7 @@ impl<'a> Checker<'a> {
         Some(Pin { node, param: index, range, label })
     }
 
-    /// A reference to a node that is not there.
+    /// Reports a reference to an unknown node.
     pub(super) fn unknown_node(&mut self, span: &Range<usize>, id: &str) {
         // Its table may be one of the lines that could not be read.
         if self.text.incomplete {

@@ -30,7 +30,7 @@ pub enum ElfError {
     /// Not an ELF shared object of this machine.
     #[error("it is not a shared library for this machine ({what})")]
     NotElf {
-        /// What the file is instead.
+        /// Actual type of the file.
         what: String,
     },
     /// Shorter than its tables require.
@@ -59,7 +59,7 @@ pub enum ElfError {
     /// The note cannot be parsed.
     #[error("its Panoscope note is damaged: {what}")]
     BadNote {
-        /// What is wrong with the note.
+        /// Mistake in the note.
         what: String,
     },
 }
@@ -67,9 +67,9 @@ pub enum ElfError {
 const PT_LOAD: u32 = 1;
 const SHT_NOBITS: u32 = 8;
 const SHT_NOTE: u32 = 7;
-/// Bytes of an entry of the table of segments and of that of sections, in every 64-bit ELF file.
+/// Bytes per entry of the tables of segments and sections in a 64-bit ELF file.
 const ENTRY_BYTES: (u64, u64) = (56, 64);
-/// Maximum number of bytes of all notes: those of compilers have a few hundred, ours two thousand.
+/// Maximum number of bytes of all notes: compilers' notes have a few hundred, the plugin note two thousand.
 const MAX_NOTE_BYTES: u64 = 1 << 20;
 
 /// A file that is read in parts: plugins are large, and only a small part is needed before loading.
@@ -77,7 +77,7 @@ pub trait Parts {
     /// Length of the file in bytes.
     fn size(&self) -> u64;
 
-    /// `len` bytes from offset `at` on; the caller makes sure that they lie inside the file.
+    /// `len` bytes from offset `at` on; the caller ensures that they are inside the file.
     ///
     /// # Errors
     /// The bytes cannot be read.

@@ -20,10 +20,10 @@ const VERSION: &str = "1";
 /// Trusted keys of the whole machine.
 const SYSTEM_FOLDER: &str = "/etc/panoscope/keys";
 
-/// Ending of files with public keys.
+/// Extension of files with public keys.
 const ENDING: &str = "pub";
 
-/// Why a key was not made or read.
+/// A key that was not made or read.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
     /// A file could not be read or written.
@@ -40,14 +40,14 @@ pub enum KeyError {
         /// The file.
         file: PathBuf,
     },
-    /// The file is no key.
+    /// The file is not a key.
     #[error("{file} is not a {expected} ({reason}); `panoscope lock --new-key FILE` makes keys", file = file.display())]
     Damaged {
         /// The file.
         file: PathBuf,
-        /// What it should be.
+        /// Kind of key that was expected.
         expected: &'static str,
-        /// What is wrong with it.
+        /// What is wrong with the file.
         reason: &'static str,
     },
     /// Other users may read the secret key.
@@ -96,14 +96,15 @@ fn read(file: &Path, expected: &'static str) -> Result<[u8; 32], KeyError> {
     }
 }
 
-/// A key that signs. Whoever has it can vouch for locks.
+/// A signing key. Its holder can vouch for locks.
 pub struct SecretKey {
     key: SigningKey,
     name: String,
 }
 
 impl SecretKey {
-    /// Makes a key pair: the secret key in `file`, which only its owner can read, and the public key beside it as `file.pub`.
+    /// Makes a key pair: the secret key in `file`, which only its owner can read, and the public key next to it as
+    /// `file.pub`.
     ///
     /// # Errors
     /// One of the files exists, or cannot be written.
@@ -145,7 +146,7 @@ impl SecretKey {
     /// Reads a secret key.
     ///
     /// # Errors
-    /// The file cannot be read, is no secret key, or can be read by others.
+    /// The file cannot be read, is not a secret key, or can be read by others.
     pub fn read(file: &Path) -> Result<Self, KeyError> {
         let meta = std::fs::metadata(file).map_err(in_file(file))?;
         let seed = read(file, SECRET)?;
@@ -155,12 +156,12 @@ impl SecretKey {
         Ok(Self { key: SigningKey::from_bytes(&seed), name: name_of(file) })
     }
 
-    /// The public key, which others need to check signatures of this one.
+    /// The public key, with which others check signatures of this key.
     pub fn public(&self) -> PublicKey {
         PublicKey { key: self.key.verifying_key(), name: self.name.clone() }
     }
 
-    /// The signature of a message, as hexadecimal digits.
+    /// Signature of a message, as hexadecimal digits.
     pub(crate) fn sign(&self, message: &[u8]) -> String {
         hex(&self.key.sign(message).to_bytes())
     }
@@ -209,7 +210,7 @@ impl PublicKey {
         hex(self.key.as_bytes())
     }
 
-    /// The first 16 digits, as messages show them.
+    /// The first 16 digits, for messages.
     pub fn short(&self) -> String {
         self.hex().chars().take(16).collect()
     }
@@ -236,7 +237,7 @@ impl Trust {
         std::iter::once(PathBuf::from(SYSTEM_FOLDER)).chain(own).collect()
     }
 
-    /// The folder that a message names where a key is missing.
+    /// The folder to name in messages about a missing key.
     pub(crate) fn folder_to_use() -> String {
         Self::folders().pop().unwrap_or_else(|| SYSTEM_FOLDER.into()).display().to_string()
     }
@@ -244,7 +245,7 @@ impl Trust {
     /// The keys of [`Self::folders`].
     ///
     /// # Errors
-    /// A file cannot be read or is not a public key: a key that somebody meant to trust must not be left out silently.
+    /// A file cannot be read or is not a public key: a key that was meant to be trusted must not be skipped silently.
     pub fn installed() -> Result<Self, KeyError> {
         Self::in_folders(&Self::folders())
     }
