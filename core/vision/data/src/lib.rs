@@ -1,4 +1,4 @@
-//! Files around images. Nothing here knows a graph.
+//! Image-related files and data. This crate does not know graphs.
 //!
 //! - [`bit_depth`]: which value of images with more than eight bits is white.
 //! - [`calibration`]: stereo calibrations, their packet and their files, printed boards, files of images that a pattern matches.

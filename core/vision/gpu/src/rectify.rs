@@ -12,7 +12,7 @@ use crate::memory::{Store, Transfer, Upload, row_bytes, unpack};
 /// Bytes of a call's sizes as the shader reads them.
 const SIZE_BYTES: u64 = 32;
 
-/// A view and where its rectified picture goes.
+/// A view and its rectified image.
 #[derive(Debug)]
 pub struct RectifyJob<'v, 'o> {
     /// The camera's picture, BGR.
@@ -21,7 +21,7 @@ pub struct RectifyJob<'v, 'o> {
     pub out: ViewMut<'o, u8>,
 }
 
-/// What one view needs on the device.
+/// Device memory of one view.
 #[derive(Debug, Default)]
 struct Side {
     corners: Store,
@@ -46,10 +46,11 @@ pub struct Rectifier {
 }
 
 impl Rectifier {
-    /// A rectifier that shrinks views by `factor` and turns them by `maps`, left and right; without maps it only shrinks.
+    /// A rectifier that shrinks views by `factor` and rectifies them with `maps`, left and right; without maps it only
+    /// shrinks.
     ///
     /// # Errors
-    /// [`GpuError::Input`] for maps of different sizes or of a part of a view, and for nothing to do; errors of the device.
+    /// [`GpuError::Input`] for maps of different sizes or of a part of a view, and if there is nothing to do; errors of the device.
     pub fn new(gpu: Arc<Gpu>, factor: usize, maps: Option<[&RemapTable; 2]>) -> Result<Self, GpuError> {
         let refuse = |what: &str| Err(GpuError::Input { what: what.into() });
         if factor == 0 || (factor == 1 && maps.is_none()) {
@@ -184,7 +185,7 @@ impl Rectifier {
         )
     }
 
-    /// Size of what a job makes.
+    /// Size of the image that a job makes.
     fn made(&self, job: &RectifyJob<'_, '_>) -> Result<(usize, usize), GpuError> {
         let small = (job.view.width / self.factor, job.view.height / self.factor);
         let (wanted, made) = self.sizes.map_or((small, small), |[from, to]| (from, to));

@@ -10,11 +10,11 @@ use crate::device::{Gpu, GpuError};
 use crate::kernel::Kernel;
 use crate::memory::{Store, Transfer, Upload, each_row, row_bytes, unpack};
 
-/// Words of a view's place in the shader, and of what stands before the first one.
+/// Words of a view's placement in the shader.
 const PLACE_WORDS: usize = 40;
 const HEAD_WORDS: usize = 4;
 const CANVAS_BYTES: u64 = 4 * (HEAD_WORDS + 2 * PLACE_WORDS) as u64;
-/// Bytes that starts of parts in the upload are multiples of.
+/// Alignment of parts in the upload, bytes.
 const ALIGNMENT: u64 = 16;
 
 /// Draws panoramas of one or two views. Keeps its memory on the device.
@@ -91,7 +91,8 @@ fn draw_rest(drawing: &Drawing<'_>, columns: &Range<usize>, out: &mut ViewMut<'_
     });
 }
 
-/// The place of a view as the shader reads it; `start` is where its first pixel lies or would lie, `stride` the bytes of a row, `first_vertex` its first vertex.
+/// Writes a view's placement for the shader; `start` is the offset of its first pixel, `stride` the bytes of a row,
+/// `first_vertex` its first vertex.
 fn put_place(
     words: &mut Vec<u8>,
     view: &DrawnView<'_>,
@@ -128,7 +129,7 @@ impl Warper {
     /// Prepares a device.
     ///
     /// # Errors
-    /// [`GpuError::Failed`] when it does not take the shader.
+    /// [`GpuError::Failed`] if it rejects the shader.
     pub fn new(gpu: Arc<Gpu>) -> Result<Self, GpuError> {
         let parts = [include_str!("shaders/warp.wgsl"), include_str!("shaders/bytes.wgsl")];
         let kernel = Kernel::new(&gpu, "warp", &parts)?;

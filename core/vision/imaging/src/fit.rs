@@ -1,23 +1,24 @@
-//! Pictures scaled into rectangles of others.
+//! Scales images into rectangles of other images.
 
 use crate::grow::Grow;
 use crate::{Simd, View, ViewMut};
 
-/// Scales pictures into others; reuses its buffers.
+/// Scales images into others; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Fit {
     simd: Simd,
     columns: Columns,
-    /// The source rows under one row, averaged.
+    /// Average of the source rows under one row.
     row: Vec<u8>,
-    /// The same, added up.
+    /// Sum of the source rows under one row.
     sums: Vec<u16>,
     grow: Grow,
 }
 
 impl Fit {
-    /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of the
-    /// source pixels under each pixel when it shrinks, between the nearest ones when a picture in colour grows in both directions. What leaves `out` is cut.
+    /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of
+    /// the source pixels under each pixel when it shrinks, between the nearest ones when a picture in colour grows in
+    /// both directions. Parts outside `out` are clipped.
     pub fn place(
         &mut self,
         out: &mut ViewMut<'_, u8>,
@@ -101,13 +102,13 @@ impl Fit {
     }
 }
 
-/// Which source pixels of three bytes lie under each column.
+/// Source pixels of three bytes under each column.
 #[derive(Debug, Default)]
 struct Columns {
     /// First byte of the first pixel under each column, and of the last one.
     first: Vec<u32>,
     last: Vec<u32>,
-    /// No pixel begins later than here.
+    /// Maximum start of a pixel.
     latest: u32,
     /// Maximum number of pixels under one column.
     most: u32,
@@ -267,7 +268,7 @@ fn share(count: usize) -> u32 {
 
 /// Binary places of the reciprocal of a count of pixels.
 const SHARE_BITS: u32 = 20;
-/// So many pixels of eight bits add up to at most sixteen bits.
+/// Number of 8-bit pixels whose sum fits into 16 bits.
 const LANE_PIXELS: usize = 257;
 
 /// Sums of the three channels of at most [`LANE_PIXELS`] pixels, one value behind them: all channels in one addition.

@@ -1,4 +1,4 @@
-//! A slice that the chunks of one loop write in parts.
+//! A slice whose disjoint parts are written by the chunks of one loop.
 
 /// A pointer that chunks of one loop may share while they write disjoint parts of a slice.
 ///

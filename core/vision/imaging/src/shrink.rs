@@ -5,7 +5,7 @@ use crate::{Parallel, SharedMut, Simd, View, ViewMut};
 
 /// Rows of the small picture per chunk.
 const ROWS: usize = 16;
-/// Values of a row that are added up at once; their sums lie on the stack.
+/// Values of a row that are summed per step; their sums are on the stack.
 const TILE: usize = 3072;
 
 /// Largest factor: sums of more pixels leave 16 bits.
@@ -16,7 +16,7 @@ pub fn enlarged_px(at: f64, factor: usize) -> f64 {
     (at + 0.5) * factor as f64 - 0.5
 }
 
-/// The other way round.
+/// The inverse of [`enlarged_px`].
 pub fn shrunk_px(at: f64, factor: usize) -> f64 {
     (at + 0.5) / factor as f64 - 0.5
 }

@@ -1,8 +1,8 @@
-//! Average precision as COCO's and as VOC's tools count it (Lin et al. 2014; Everingham et al. 2010).
+//! Average precision as computed by COCO's and by VOC's tools (Lin et al. 2014; Everingham et al. 2010).
 //!
-//! COCO: at most 100 finds per picture and class, best first, each takes the free truth that it overlaps most; precision is read at 101 recalls;
-//! thresholds 0.50 to 0.95. The steps and their ties are those of `pycocotools`, so that both give the same numbers. VOC: at an overlap of
-//! 0.5, a find belongs to the truth that it overlaps most, free or not; area under the whole curve.
+//! COCO: at most 100 finds per image and class, best first; each takes the free true object that it overlaps most; precision is read at 101 recalls;
+//! thresholds 0.50 to 0.95. Steps and ties follow `pycocotools`, so that both give the same numbers. VOC: at an overlap of
+//! 0.5, a find belongs to the true object that it overlaps most, free or not; area under the whole curve.
 
 use super::mask::Mask;
 
@@ -18,26 +18,26 @@ pub struct Object {
     pub class: usize,
     /// Left, top, width, height in px.
     pub bbox: [f64; 4],
-    /// Outline, where the truth has one.
+    /// Outline, if the ground truth has one.
     pub mask: Option<Mask>,
-    /// A crowd, or too difficult to count: finding it is no gain, missing it no loss.
+    /// Whether it is a crowd or marked as difficult: it counts neither as found nor as missed.
     pub ignored: bool,
 }
 
-/// Something found.
+/// A detection.
 #[derive(Clone, Debug)]
 pub struct Find {
     /// Class number.
     pub class: usize,
     /// Left, top, width, height in px.
     pub bbox: [f64; 4],
-    /// Outline, where the network gives one.
+    /// Outline, if the network gives one.
     pub mask: Option<Mask>,
     /// 0..1.
     pub score: f64,
 }
 
-/// What overlaps are measured on.
+/// Shapes on which overlaps are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
     /// Boxes.
@@ -46,7 +46,7 @@ pub enum Shape {
     Mask,
 }
 
-/// Intersection over union; over the find's area alone where the truth is a crowd.
+/// Intersection over union; divided by the find's area alone if the true object is a crowd.
 pub fn overlap(find: &Find, truth: &Object, shape: Shape) -> f64 {
     let (both, a, b) = match shape {
         Shape::Box => {
@@ -80,7 +80,7 @@ pub struct ClassScore {
     pub voc: f64,
     /// Recall and precision after each find, best first, at 0.5.
     pub curve: Vec<(f64, f64)>,
-    /// Largest F1 over scores, and the score at which it is reached.
+    /// Maximum F1 over scores, and the score at which it is reached.
     pub best_f1: (f64, f64),
 }
 
@@ -98,7 +98,7 @@ pub struct Scores {
     pub classes: Vec<ClassScore>,
 }
 
-/// Mean of the values that are numbers; NaN of none.
+/// Mean of the values without NaN; NaN if there are none.
 pub fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.filter(|v| !v.is_nan()).fold((0.0, 0usize), |(s, n), v| (s + v, n + 1));
     if count == 0 { f64::NAN } else { sum / count as f64 }
@@ -121,7 +121,7 @@ impl Scores {
     }
 }
 
-/// Finds of a class in a picture, best first, and how they meet the truth at each threshold.
+/// Finds of a class in a picture, best first, with their matches at each threshold.
 pub(super) struct MatchedDetections {
     pub scores: Vec<f64>,
     /// Per threshold and detection: matched, ignored.
@@ -261,7 +261,7 @@ pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape:
     Scores { classes: (0..classes).map(one).collect() }
 }
 
-/// Finds of all pictures in the order of their scores, to be scored again and again on parts of the pictures.
+/// Finds of all pictures in the order of their scores, to be scored repeatedly on subsets of the images.
 pub struct Ranking {
     /// Per class: score, hit (COCO's rule at 0.5), picture.
     rows: Vec<Vec<(f64, bool, usize)>>,
@@ -311,8 +311,8 @@ impl Ranking {
     }
 }
 
-/// How a picture's truths and finds meet whatever their classes, at an overlap of 0.5: for each pair both numbers. Crowds, finds on them and finds
-/// under `min_score` are ignored.
+/// Matches of an image's true objects and finds regardless of class, at an overlap of 0.5: for each pair both numbers.
+/// Crowds, finds on them and finds under `min_score` are ignored.
 pub fn pairs(truths: &[Object], finds: &[Find], min_score: f64, shape: Shape) -> Vec<(Option<usize>, Option<usize>)> {
     let mut all: Vec<(f64, usize, usize)> = Vec::new();
     for (f, find) in finds.iter().enumerate().filter(|(_, f)| f.score >= min_score) {

@@ -137,7 +137,7 @@ fn vote(weights: &TurnWeights, patch: &Patch, votes: &mut Votes) {
     }
 }
 
-/// The longest sum of `SECTOR_BINS` neighbouring bins around the circle; the first one where several are as long.
+/// The longest sum of `SECTOR_BINS` neighbouring bins around the circle; the first one of equal sums.
 #[inline(always)]
 fn strongest(sums: &[[[f32; 2]; BINS]; 2], sectors: &mut Sectors) -> [f32; 2] {
     const _: () = assert!(SECTOR_BINS == 12 && BINS.is_multiple_of(8));

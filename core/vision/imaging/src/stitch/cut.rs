@@ -1,7 +1,9 @@
-//! One picture cut into two overlapping views, as two cameras would see it: pictures of real tissue with a true homography.
+//! One picture cut into two overlapping views, like the views of two cameras: images of real tissue with a true
+//! homography.
 //!
-//! The left view is a part of the picture as it is. The right view sees the other side of it under another perspective that sways
-//! slowly, darker and tinted. Both carry noise of their own. Everything random comes from a seed and the number of the frame.
+//! The left view is an unchanged part of the image. The right view shows the other side of it with a slowly changing
+//! perspective, darker and tinted. Both have independent noise. All randomness is derived from a seed and the number of
+//! the frame.
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -19,11 +21,11 @@ const ROWS: usize = 16;
 pub struct CutParams {
     /// Share of a view's width that the other view shows too, 0.1..=0.9.
     pub overlap: f64,
-    /// How far each corner of the right view is drawn in at most, px.
+    /// Maximum inward displacement of each corner of the right view, px.
     pub perspective_px: f64,
-    /// How far each corner sways around its position, px.
+    /// Amplitude of each corner's movement around its position, px.
     pub sway_px: f64,
-    /// Frames of one sway.
+    /// Period of the movement, frames.
     pub sway_frames: f64,
     /// Exposure of the right view relative to the left one.
     pub right_exposure: f32,
@@ -47,7 +49,7 @@ impl Default for CutParams {
     }
 }
 
-/// Why a picture cannot be cut.
+/// An image that cannot be cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CutError {
     /// The picture is too small for the margins.
@@ -56,7 +58,7 @@ pub enum CutError {
         width: usize,
         /// Rows of the picture.
         height: usize,
-        /// What perspective and sway take from each side.
+        /// Margin for perspective and movement at each side.
         margin_px: usize,
     },
     /// A picture is not BGR, or an output has the wrong size.

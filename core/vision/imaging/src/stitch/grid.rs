@@ -1,8 +1,8 @@
 //! Homography from a disparity map (thesis, chapter 4): smooth tissue has no features, but it has depth.
 //!
-//! A grid is laid on the overlap of the left rectified view. Each cell gives one point `P` with valid disparity `d`; its
-//! partner in the right rectified view is `Q = P - (d, 0)`. Both are carried back to the cameras' own pictures, and RANSAC
-//! finds the homography between them. Algorithm 2 of that chapter keeps it still.
+//! A grid covers the overlap of the left rectified view. Each cell gives one point `P` with valid disparity `d`; its
+//! partner in the right rectified view is `Q = P - (d, 0)`. Both are mapped back to the cameras' original images, and
+//! RANSAC finds the homography between them. Algorithm 2 of that chapter stabilises it.
 
 use super::coarse::{enlarged, map_factor};
 use super::disparity_plane::{DisparityPlane, Sample};
@@ -15,24 +15,24 @@ use crate::geometry::{
     overlap_rois, rms_of,
 };
 
-/// Which disparity a grid cell gives.
+/// Choice of a grid cell's point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CellPoint {
     /// The valid pixel with the largest disparity: the nearest tissue, the peak of chapter 4.
     Peak,
-    /// The middle of the cell, with the median of its disparities: no outlier of the matching gets through.
+    /// The middle of the cell, with the median of its disparities: robust to outliers of the matching.
     #[default]
     Median,
 }
 
-/// Parameters of [`RegisterGrid`]. Lengths are in pixels of the pictures, also where the disparity map is smaller.
+/// Parameters of [`RegisterGrid`]. Lengths are in pixels of the pictures, even if the disparity map is smaller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridParams {
     /// Rows of the grid (9 in chapter 4).
     pub rows: usize,
     /// Columns of the grid (24).
     pub columns: usize,
-    /// What each cell gives.
+    /// Point of each cell.
     pub point: CellPoint,
     /// Spacing of the pixels of a cell that are used.
     pub step_px: usize,
@@ -42,17 +42,17 @@ pub struct GridParams {
     pub ransac: RansacParams,
     /// Inliers below which a homography is rejected; at least 4.
     pub min_inliers: usize,
-    /// What a warped frame may look like.
+    /// Plausibility limits of a warped frame.
     pub plausibility: Plausibility,
-    /// The homography stays while its median error on the new inliers is below this, in pixels; 0: refit every frame.
+    /// The homography is kept while its median error on the new inliers is below this, in pixels; 0: refit every frame.
     pub stability_px: f64,
-    /// It also stays while it explains the pairs worse by no more than this share.
+    /// It is also kept while its error on the pairs is larger by at most this share.
     pub still_tolerance: f64,
     /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the inliers alone.
     pub anchor_fit: f64,
     /// Rms error of the inliers, px, above which a homography is rejected; 0 accepts all.
     pub max_rms_px: f64,
-    /// Failed frames in a row for which the homography before still counts as held.
+    /// Failed frames in a row for which the previous homography counts as held.
     pub hold_frames: usize,
 }
 
@@ -137,7 +137,7 @@ pub struct RegisterGrid {
     params: GridParams,
     /// By how much the last map was smaller than the pictures; 0 before the first.
     factor: usize,
-    /// The parameters in pixels of that map, as all that follows.
+    /// The parameters in pixels of that map; so are all later fields.
     scaled: GridParams,
     ransac: Ransac,
     from: Vec<Point>,
@@ -149,17 +149,17 @@ pub struct RegisterGrid {
     stability: Stability,
     memory: Option<Homography>,
     failures: usize,
-    /// The overlap is too narrow for a homography of eight parameters.
+    /// Whether the overlap is too narrow for a homography of eight parameters.
     is_narrow: bool,
 }
 
-/// Pairs each way that carry a plane over to pictures that are not rectified.
+/// Pairs per direction that transfer a plane to images that are not rectified.
 const PLANE_PAIRS: usize = 5;
-/// Samples further off a plane than this do not belong to it, whatever a homography is allowed.
+/// Maximum distance of a sample from its plane, independent of the homography's threshold.
 const MAX_PLANE_PX: f64 = 4.0;
-/// An overlap of less than this part of a side is narrow.
+/// An overlap of less than a side divided by this is narrow.
 const NARROW_PART: usize = 3;
-/// Pixels of a cell that are read, about; more are spaced further apart.
+/// Approximate maximum number of pixels read per cell.
 const MAX_CELL_PIXELS: usize = 300;
 /// Smallest number of columns used per cell.
 const MIN_CELL_STEPS: usize = 2;
@@ -290,7 +290,7 @@ impl RegisterGrid {
         }
     }
 
-    /// No homography from this map: the previous one is held, for some frames.
+    /// Handles a map without a homography: the previous one is held for some frames.
     fn failed(&mut self, mut result: GridRegistration) -> GridRegistration {
         self.failures += 1;
         if self.memory.is_some() && self.failures <= self.scaled.hold_frames {

@@ -1,4 +1,4 @@
-//! What each canvas row shows, as runs of columns.
+//! Content of each canvas row, as runs of columns.
 
 use super::seam::Seam;
 use super::warp::Span;

@@ -1,4 +1,4 @@
-//! Coarse samples of the views on the canvas: what the seam and the exposure are found on.
+//! Coarse samples of the views on the canvas: the input of seam and exposure.
 
 use super::exposure::OverlapLight;
 use super::mesh::Mapping;

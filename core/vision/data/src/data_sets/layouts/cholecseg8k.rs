@@ -28,7 +28,7 @@ fn name_of(path: &std::path::Path) -> &str {
     path.file_name().and_then(|name| name.to_str()).unwrap_or("")
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     if !folder.files().any(|name| name.starts_with("frame_") && name.ends_with(FRAME)) {
         return false;

@@ -21,9 +21,9 @@ use crate::calibration::KittiCameras::{self, Colour, Gray};
 use crate::data_sets::folder::{Folder, by_stem, files_in, matching, paired, pictures_in, stem};
 use crate::data_sets::sequence::{CalibrationFiles, Holds, Sequence, Truth};
 
-/// Disparities are stored times 256.
+/// Factor of stored disparities.
 const DISPARITY: f32 = 256.0;
-/// Depths are stored in m times 256; ours are in mm.
+/// Divisor of stored depths, which are in m times 256, to mm.
 const DEPTH: f32 = 0.256;
 /// Left and right folder, cameras, folders of true disparity of the left view.
 const STEREO: [(&str, &str, KittiCameras, &[&str]); 3] = [
@@ -124,7 +124,7 @@ fn raw(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     sequences.len() > before
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     stereo(folder, sequences) || raw(folder, sequences)
 }
