@@ -1,4 +1,5 @@
-//! `cargo xtask interlock`: how thoroughly the interlock's tests judge it. Branch coverage, and mutants: small changes of its code that a test must find.
+//! `cargo xtask interlock`: measures how thoroughly the interlock is tested, by branch coverage and mutants: small
+//! changes of its code that a test must detect.
 
 use std::process::Command;
 
@@ -10,16 +11,16 @@ use crate::tool;
 use crate::workspace::Workspace;
 
 const PACKAGE: &str = "panoscope-arm-core";
-/// The judged files, from the workspace's root.
+/// The measured files, relative to the workspace's root.
 const FILES: &str = "core/robot/arm/src/interlock/";
 /// Their tests.
 const TESTS: &str = "interlock/tests/";
-/// Least share of mutants that the tests find, percent.
+/// Minimum share of mutants that the tests detect, percent.
 const MIN_SCORE: f64 = 90.0;
 /// Branch coverage needs the nightly compiler.
 const TOOLCHAIN: &str = "+nightly";
 
-/// What to judge.
+/// Measurements to make.
 #[derive(Debug, PartialEq, Eq)]
 struct Parts {
     coverage: bool,
@@ -37,10 +38,10 @@ impl Parts {
     }
 }
 
-/// Judges the tests; fails below full coverage and below [`MIN_SCORE`].
+/// Measures the tests; fails below full coverage and below [`MIN_SCORE`].
 ///
 /// # Errors
-/// A tool cannot be installed or fails, or the tests leave out too much: the message lists what.
+/// A tool cannot be installed or fails, or the tests miss too much, which the message lists.
 pub fn interlock(workspace: &Workspace, args: &[String]) -> Result<()> {
     let parts = Parts::parse(args)?;
     if parts.coverage {
@@ -95,7 +96,7 @@ fn coverage(workspace: &Workspace) -> Result<()> {
     Ok(())
 }
 
-/// Covered and existing branches and lines of a file.
+/// Numbers of covered and of all branches and lines of a file.
 #[derive(Debug, PartialEq, Eq)]
 struct Covered {
     name: String,

@@ -1,4 +1,4 @@
-//! Set-up, demo, tests and generated files of Panoscope: `cargo xtask <command>`.
+//! Development tasks of Panoscope: setup, demo, tests and generated files: `cargo xtask <command>`.
 
 #![forbid(unsafe_code)]
 
@@ -189,7 +189,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What is packaged, and where.
+/// Arguments of a packaging command.
 struct Packaging {
     dir: PathBuf,
     profile: Profile,
@@ -197,7 +197,7 @@ struct Packaging {
 }
 
 impl Packaging {
-    /// Reads `[DIR] [--check] [--dev]`; without a folder it is `target/COMMAND`.
+    /// Reads `[DIR] [--check] [--dev]`; the default folder is `target/COMMAND`.
     fn read(workspace: &Workspace, command: &str, args: &[String]) -> Result<Self> {
         let (flags, folders): (Vec<&String>, Vec<&String>) = args.iter().partition(|arg| arg.starts_with("--"));
         if let Some(other) = flags.iter().find(|flag| !["--check", "--dev"].contains(&flag.as_str())) {

@@ -1,4 +1,4 @@
-//! Controller and arm of a graph file, as numbers.
+//! Parameters of the controller and arm of a graph file.
 
 use std::path::Path;
 
@@ -14,17 +14,17 @@ use panoscope_host::loader::graph_file;
 
 use crate::error::{Context, EvalError, Result, bail};
 
-/// A controller and the arm that it moves.
+/// A controller and its arm.
 pub struct Plant {
-    /// The controller.
+    /// Parameters of the controller.
     pub goals: Goals,
-    /// The arm.
+    /// Model of the arm.
     pub course: Course,
     /// Name of the controller in its graph.
     pub node: Option<String>,
 }
 
-/// The arm that ships with the defaults of its nodes.
+/// The shipped arm with the defaults of its nodes.
 pub fn shipped() -> Result<Plant> {
     Ok(Plant { goals: shipped_goals(), course: Course::shipped(Chain::shipped()?), node: None })
 }
@@ -58,7 +58,7 @@ impl Named<'_> {
         }
     }
 
-    /// The arm's file; none takes the one that ships.
+    /// Loads the arm's file; default: the shipped one.
     fn arm(&self) -> Result<Chain> {
         match self.value("arm") {
             Some(ParamValue::Path(path)) if !path.as_os_str().is_empty() => {
@@ -71,7 +71,7 @@ impl Named<'_> {
     }
 }
 
-/// Takes controller and arm from a graph file. `node` names the controller where there are several.
+/// Reads controller and arm from a graph file. `node` names the controller if there are several.
 pub fn of_graph(path: &Path, node: Option<&str>, options: &GraphOptions) -> Result<Plant> {
     let ready = match graph_file::open(path, options) {
         Ok(ready) => ready,
