@@ -1,10 +1,10 @@
-//! What a command line gives to a graph: overlays and values of arguments.
+//! Graph options of a command line: overlays and values of arguments.
 
 use std::path::PathBuf;
 
 use panoscope_graph::{GraphOptions, command_line};
 
-/// What a command line gives to a graph in addition to settings. It includes the arguments that the graph declares, see
+/// Graph options of a command line, without settings. It includes the arguments that the graph declares, see
 /// [`command_line`].
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct Given {

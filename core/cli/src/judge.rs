@@ -1,8 +1,9 @@
 //! Evaluates a run: its exit code, its errors and warnings, and its last line.
 //!
-//! The rule: a run is done (exit 0) when every node did its work on every tick that it was given, and every source made the requested ticks.
-//! It failed (exit 1) when
-//! - a node had faults and the graph does not say `on_fault = "bypass"` for it: each fault is a lost tick, even if the node was reopened,
+//! The rule: a run is done (exit 0) when every node did its work on every tick that it was given, and every source made
+//! the requested ticks. It failed (exit 1) when
+//! - a node had faults and the graph does not say `on_fault = "bypass"` for it: each fault is a lost tick, even if the
+//!   node was reopened,
 //! - a node stopped working, lost what it was to write, or was left behind because it did not return,
 //! - a source ended by an error, made no tick, or fewer ticks than `--frames` asks for,
 //! - a node never ran because a source never made what it needs, or because its inputs never met,
@@ -27,7 +28,8 @@ pub struct Facts<'a> {
     pub faults: &'a [Fault],
     /// Outcome reported by the engine.
     pub outcome: &'a Outcome,
-    /// Nodes whose faults do not fail the run: those with `on_fault = "bypass"`, and those whose faults the command causes.
+    /// Nodes whose faults do not fail the run: those with `on_fault = "bypass"`, and those whose faults the command
+    /// causes.
     pub bypassed: BTreeSet<&'a str>,
     /// Requested ticks of each source.
     pub frames: Option<u64>,

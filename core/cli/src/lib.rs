@@ -1,6 +1,6 @@
 //! The `panoscope` command, and what its second program `panoscope-lab` shares with it. Exit codes: 0 done, 1 the run
-//! failed (`judge` has the rule), 2 the arguments or the graph are wrong; 128 plus the signal's number if a signal
-//! ended the command before a run or immediately; the signal itself if a plugin crashed.
+//! failed (see `judge`), 2 the arguments or the graph are wrong; 128 plus the signal's number if a signal ended the
+//! command before a run or immediately; the signal itself if a plugin crashed.
 
 pub mod allocations;
 pub mod beside;

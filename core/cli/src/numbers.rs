@@ -8,9 +8,9 @@ pub enum NumberError {
     /// It is not a number.
     #[error("{text} is not a {what}")]
     NoNumber {
-        /// What was given.
+        /// The given value.
         text: String,
-        /// What is required.
+        /// The requirement.
         what: &'static str,
     },
     /// It is outside the range.

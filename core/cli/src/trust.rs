@@ -1,4 +1,4 @@
-//! What a command trusts: keys that sign locks, and folders with plugins.
+//! Trust settings of a command: keys that sign locks, and folders with plugins.
 
 use std::path::PathBuf;
 

@@ -24,7 +24,8 @@ fn file(folder: &Path, name: &str, text: &str) -> String {
     path.display().to_string()
 }
 
-/// A track of `tip_track`: from 1 s on 20 mm/s along x for 4 s, then rest for 2 s, then lost; the second line of each second is only predicted.
+/// A track of `tip_track`: from 1 s on 20 mm/s along x for 4 s, then rest for 2 s, then lost; the second line of each
+/// second is only predicted.
 fn left_hand() -> String {
     let mut text =
         String::from("seq,source,capture_ms,text,x_mm,y_mm,z_mm,room_x_mm,room_y_mm,room_z_mm,gap_ms,track_id\n");

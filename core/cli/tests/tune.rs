@@ -1,4 +1,5 @@
-//! `panoscope tune`: gains, fragment, plot and JSON; a graph's own parameters; what it says of graphs that cannot be tuned.
+//! `panoscope tune`: gains, fragment, plot and JSON; a graph's own parameters; what it says of graphs that cannot be
+//! tuned.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};

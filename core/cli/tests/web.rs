@@ -206,7 +206,8 @@ fn a_browser_shows_pictures_with_an_age() {
     assert!(page.contains("<span id=\"state\" class=\"\">running</span>"), "{page}");
 }
 
-/// What a page shows of its pictures: words beside it, whether it is dimmed, its opacity, its width in px, its age in words.
+/// What a page shows of its pictures: words beside it, whether it is dimmed, its opacity, its width in px, its age in
+/// words.
 const FIGURES: &str = "[...document.querySelectorAll('figure')].map(f => ({
     label: f.querySelector('img').alt, old: f.classList.contains('old'), opacity: getComputedStyle(f.querySelector('img')).opacity,
     width: f.querySelector('img').naturalWidth, age: f.querySelector('.age').textContent }))";

@@ -48,7 +48,7 @@ pub enum EvalError {
     /// The options contradict each other, are out of range, or name something that does not exist. Nothing ran.
     #[error("{reason}")]
     Options {
-        /// What is wrong, and how to correct it.
+        /// The problem and its correction.
         reason: String,
     },
     /// The user's graph has mistakes. Nothing ran.
@@ -124,15 +124,15 @@ pub enum EvalError {
     /// Another program, run for comparison, failed or disagrees.
     #[error("{reason}")]
     Peer {
-        /// What happened, and how to correct it.
+        /// The problem and its correction.
         reason: String,
     },
     /// Something failed at a known position.
     #[error("{place}")]
     At {
-        /// Where: a file, a line, a step.
+        /// Location: a file, a line, a step.
         place: String,
-        /// Why.
+        /// Reason.
         source: Cause,
     },
     /// The engine did not start.

@@ -18,7 +18,7 @@ const GRID: Color = [62, 58, 56];
 const COLORS: [Color; 6] =
     [[233, 180, 86], [0, 159, 230], [115, 158, 0], [167, 121, 204], [66, 228, 240], [0, 94, 213]];
 
-/// How a series is drawn.
+/// Style of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// A line with gaps at missing values.
@@ -34,7 +34,7 @@ pub enum Style {
 pub struct Series {
     /// Name in the legend.
     pub name: String,
-    /// How it is drawn.
+    /// Drawing style.
     pub style: Style,
     /// Index of its colour.
     pub color: usize,

@@ -45,13 +45,15 @@ pub struct Arguments {
 #[derive(clap::Args)]
 #[group(required = true, multiple = true)]
 struct Targets {
-    /// Writes a folder: pictures as PNG, disparity and depth as NPY, clouds as PLY, calibrations as YAML, all others as CSV.
+    /// Writes a folder: images as PNG, disparity and depth as NPY, clouds as PLY, calibrations as YAML, all others as
+    /// CSV.
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
     /// Writes an MCAP file with the schemas of Foxglove.
     #[arg(long, value_name = "FILE.mcap")]
     foxglove: Option<PathBuf>,
-    /// Writes a bag of ROS 2: a folder with an MCAP file and metadata.yaml, which every distribution since Humble reads.
+    /// Writes a bag of ROS 2: a folder with an MCAP file and metadata.yaml, which every distribution since Humble
+    /// reads.
     #[arg(long, value_name = "DIR")]
     ros2: Option<PathBuf>,
     /// Writes a file of rerun, through Python with the package rerun-sdk.

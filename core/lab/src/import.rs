@@ -30,7 +30,7 @@ enum Cameras {
     Damaged(String),
 }
 
-/// Reads the calibration of the first picture that has one.
+/// Reads the calibration of the first image that has one.
 fn cameras(sequence: &Sequence) -> Cameras {
     let Some(files) = &sequence.calibration else { return Cameras::None };
     let Some(picture) = files.sets.iter().position(|set| !set.is_empty()) else { return Cameras::None };

@@ -30,7 +30,8 @@ pub struct Arguments {
     /// expected and do not fail the run.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     kill_every: Option<f64>,
-    /// Writes every sample: seconds, memory, frames, frame memory, drops, faults, threads, open files, isolated processes.
+    /// Writes every sample: seconds, memory, frames, frame memory, drops, faults, threads, open files, isolated
+    /// processes.
     #[arg(long, value_name = "FILE.csv")]
     csv: Option<PathBuf>,
 }

@@ -354,7 +354,7 @@ pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Re
     Ok(())
 }
 
-/// How a file is placed.
+/// Way of placing a file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Means {
     /// A hard link if the file system allows it, else a copy.

@@ -21,7 +21,8 @@ const FRAMES: &str = "300";
 /// Parameters of sinks that are output paths.
 const PATH_PARAMS: [&str; 3] = ["path", "folder", "pattern"];
 
-/// Builds, runs the graph for a bounded number of frames, and prints what it wrote. With a screen the editor then shows the graph running.
+/// Builds, runs the graph for a bounded number of frames, and prints what it wrote. With a screen the editor then shows
+/// the graph running.
 ///
 /// # Errors
 /// The build or the run fails, a node had a fault, or an output is missing, empty or older than this run.

@@ -14,8 +14,8 @@ pub struct Arguments {
     /// Graph file.
     #[arg(required_unless_present = "attach", allow_hyphen_values = true)]
     graph: Option<PathBuf>,
-    /// Shows the graph that runs on another machine with `panoscope run --attachable`: NAME@ADDRESS as in rack@tls/10.0.0.2:7448, or a NAME of
-    /// machines.toml in the folder panoscope of the user's configuration.
+    /// Shows the graph that runs on another machine with `panoscope run --attachable`: NAME@ADDRESS as in
+    /// rack@tls/10.0.0.2:7448, or a NAME of machines.toml in the folder panoscope of the user's configuration.
     #[arg(long, value_name = "NAME[@ADDRESS]")]
     attach: Option<String>,
     /// Further arguments of the editor; `panoscope-editor --help` and `panoscope-theatre --help` show them.

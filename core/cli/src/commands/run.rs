@@ -71,7 +71,8 @@ pub struct Arguments {
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
-    /// Writes at the end what each thread did and when, for the viewer at ui.perfetto.dev: the newest million calls, with their ticks and bytes.
+    /// Writes at the end what each thread did and when, for the viewer at ui.perfetto.dev: the newest million calls,
+    /// with their ticks and bytes.
     #[arg(long, value_name = "FILE.json")]
     trace: Option<PathBuf>,
     /// Appends faults as JSON lines: time, node, cause, response.
@@ -80,7 +81,8 @@ pub struct Arguments {
     /// Also shows debug lines of nodes.
     #[arg(long, short)]
     verbose: bool,
-    /// How lines on standard error are written; `json` writes one object per line: time, level, node (empty for the command itself), message.
+    /// Format of lines on standard error; `json` writes one object per line: time, level, node (empty for the command
+    /// itself), message.
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
     /// Serves a page with images, ages and states, and metrics for Prometheus at /metrics, for reading only: a port of

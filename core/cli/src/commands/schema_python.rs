@@ -24,8 +24,8 @@ from .building import Arg, File, Flag, Input, Inputs, Node, NodeOptions, Number,
 
 ";
 
-/// The stub `catalogue.pyi` of the Python package: a class with a method for each node type whose name no other plugin has, and a class of the
-/// outputs of each.
+/// The stub `catalogue.pyi` of the Python package: a class with a method for each node type whose name no other plugin
+/// has, and a class of the outputs of each.
 pub fn stub(catalog: &Catalog) -> String {
     let mut types: Vec<&NodeType> = catalog.node_types.iter().filter(|t| catalog.find(&t.name).len() == 1).collect();
     types.sort_by(|a, b| a.name.cmp(&b.name));

@@ -7,12 +7,13 @@ use panoscope_host::attach::{AttachError, Attachable, Options};
 
 use crate::terminal::log;
 
-/// How windows of other machines may attach.
+/// Settings for windows of other machines.
 #[derive(clap::Args)]
 #[group(id = "windows")]
 pub struct Arguments {
-    /// Lets `panoscope edit --attach` and `panoscope theatre --attach` of other machines show the running graph: tls/IP:PORT with keys of `panoscope
-    /// keys`, or tcp/127.0.0.1:PORT for windows of this machine. Windows only read, unless --allow-edit names their machine.
+    /// Lets `panoscope edit --attach` and `panoscope theatre --attach` of other machines show the running graph:
+    /// tls/IP:PORT with keys of `panoscope keys`, or tcp/127.0.0.1:PORT for windows of this machine. Windows only read,
+    /// unless --allow-edit names their machine.
     #[arg(long, value_name = "ADDRESS")]
     attachable: Option<String>,
     /// Name of this machine for windows; default: the name in its keys.

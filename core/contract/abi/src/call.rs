@@ -88,8 +88,8 @@ pub struct ValidateCall {
     pub connections_len: usize,
     /// Bit `i` is set when output `i` has a reader (outputs above 63 count as read).
     pub outputs_read: u64,
-    /// Takes one problem: a `PROBLEM_` severity, the position of the parameter it is about (or [`NO_PARAM`]), what is wrong in one
-    /// sentence, and what to do about it (may be empty). Texts are copied.
+    /// Takes one problem: a `PROBLEM_` severity, the position of the parameter it is about (or [`NO_PARAM`]), what is
+    /// wrong in one sentence, and what to do about it (may be empty). Texts are copied.
     pub invalid: Option<unsafe extern "C" fn(call: *mut c_void, severity: u32, param: u32, message: Str, help: Str)>,
 }
 
@@ -115,7 +115,8 @@ pub struct Call {
     pub input_ranges: *const PortRange,
     /// Count of `input_ranges`.
     pub input_ranges_len: usize,
-    /// One frame per declared output port, empty at the start of the call; filled by [`Host::alloc`] and [`Host::forward`].
+    /// One frame per declared output port, empty at the start of the call; filled by [`Host::alloc`] and
+    /// [`Host::forward`].
     pub outputs: *mut Frame,
     /// Count of `outputs`.
     pub outputs_len: usize,
@@ -138,7 +139,7 @@ pub const LOG_INFO: u32 = 3;
 /// Details for debugging the node.
 pub const LOG_DEBUG: u32 = 4;
 
-/// What the host offers. One table per plugin; valid until the process ends.
+/// Functions of the host. One table per plugin; valid until the process ends.
 ///
 /// Functions that take a `call` expect the handle of the running [`Call`] or [`OpenCall`].
 #[repr(C)]
@@ -154,7 +155,8 @@ pub struct Host {
     pub threads: u32,
     /// Handle for `parallel_for`, `retain`, `release` and `resolve`.
     pub ctx: *mut c_void,
-    /// Makes output `output` of the running call: a buffer of `len` bytes, described by the other arguments. Contents are unspecified.
+    /// Makes output `output` of the running call: a buffer of `len` bytes, described by the other arguments. Contents
+    /// are unspecified.
     pub alloc: Option<
         unsafe extern "C" fn(
             call: *mut c_void,
@@ -166,7 +168,8 @@ pub struct Host {
             len: usize,
         ) -> Status,
     >,
-    /// Makes output `output` the same buffer as `frame` (an input of this call, or a retained frame). Nothing is copied.
+    /// Makes output `output` the same buffer as `frame` (an input of this call, or a retained frame). Nothing is
+    /// copied.
     pub forward: Option<unsafe extern "C" fn(call: *mut c_void, output: u32, frame: *const Frame) -> Status>,
     /// Makes sure that output `output` is shared with nobody, by a counted copy if need be, so that it may be written.
     pub make_mut: Option<unsafe extern "C" fn(call: *mut c_void, output: u32) -> Status>,
@@ -182,8 +185,8 @@ pub struct Host {
     /// A line for the host's log, with the node's name added by the host.
     pub log: Option<unsafe extern "C" fn(call: *mut c_void, level: u32, message: Str)>,
     /// Reports the message of a fault. With `STATUS_ERROR` or `STATUS_PANIC` it says why the call failed; with
-    /// `STATUS_END`, why the source ended too early; with `STATUS_OK`, what went wrong although the node goes on. Each
-    /// call counts as one fault of the node.
+    /// `STATUS_END`, why the source ended too early; with `STATUS_OK`, the reported problem, although the node
+    /// continues. Each call counts as one fault of the node.
     pub fail: Option<unsafe extern "C" fn(call: *mut c_void, message: Str)>,
     /// A named number of the node, shown next to its timing.
     pub metric: Option<unsafe extern "C" fn(call: *mut c_void, name: Str, value: f64)>,
@@ -198,17 +201,20 @@ pub struct Host {
     /// `STATUS_INVALID` it is the name of the open node that writes the file, with `STATUS_ERROR` a message: another
     /// run writes it.
     pub claim_file: Option<unsafe extern "C" fn(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status>,
-    /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
+    /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend
+    /// on it.
     pub clock_ns: Option<unsafe extern "C" fn(call: *mut c_void) -> i64>,
-    /// For a source: when the light (or the packet) of this tick arrived, by the clock of [`Host::clock_ns`]. All ages count from there. A
-    /// time in the future counts as now. Without this call a tick arrives when it enters the graph.
+    /// For a source: when the light (or the packet) of this tick arrived, by the clock of [`Host::clock_ns`]. All ages
+    /// count from there. A time in the future counts as now. Without this call a tick arrives when it enters the graph.
     pub set_arrived_ns: Option<unsafe extern "C" fn(call: *mut c_void, arrived_ns: i64)>,
-    /// When the light of an input frame arrived, by the clock of [`Host::clock_ns`]; `input` is an index into [`Call::inputs`] or
-    /// [`INPUT_TICK`]. For times between two arrivals. Where results must not depend on the wall clock (`batch`), the capture time. A replay
-    /// returns what the recorded run returned. `INT64_MIN` for an empty frame and where the time is unknown.
+    /// When the light of an input frame arrived, by the clock of [`Host::clock_ns`]; `input` is an index into
+    /// [`Call::inputs`] or [`INPUT_TICK`]. For times between two arrivals. Where results must not depend on the wall
+    /// clock (`batch`), the capture time. A replay returns what the recorded run returned. `INT64_MIN` for an empty
+    /// frame and where the time is unknown.
     pub arrived_ns: Option<unsafe extern "C" fn(call: *mut c_void, input: u32) -> i64>,
-    /// Age of the light of an input frame: the time from [`Host::arrived_ns`] to this call. All answers during one call are for the same
-    /// moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is `INT64_MIN`.
+    /// Age of the light of an input frame: the time from [`Host::arrived_ns`] to this call. All answers during one call
+    /// are for the same moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is
+    /// `INT64_MIN`.
     pub age_ns: Option<unsafe extern "C" fn(call: *mut c_void, input: u32) -> i64>,
     /// Declares that the outputs of this call show light older than the tick's by this many ns (held or predicted
     /// values). Readers see this age. An output never looks younger than the oldest input. A source uses

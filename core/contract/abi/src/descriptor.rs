@@ -64,7 +64,7 @@ pub const fn format_bit(format: u32) -> u32 {
 pub struct Port {
     /// Name in graph files.
     pub name: Str,
-    /// What flows, for people.
+    /// Description of the data, for users.
     pub doc: Str,
     /// Name of the packet type: `image`, `disparity`, ... or a plugin's own.
     pub packet: Str,
@@ -82,13 +82,14 @@ pub struct Port {
 pub struct Param {
     /// Name in graph files.
     pub name: Str,
-    /// What it does, for people.
+    /// Description of its effect, for users.
     pub doc: Str,
     /// Unit such as `px`, `mm`, `ms`; empty for none.
     pub unit: Str,
     /// One of the `PARAM_` kinds.
     pub kind: u32,
-    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`, `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, `PARAM_WRITES`, `PARAM_SHIPPED`.
+    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`, `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, `PARAM_WRITES`,
+    /// `PARAM_SHIPPED`.
     pub flags: u32,
     /// Default of `PARAM_BOOL`, `PARAM_INT`, `PARAM_FLOAT`; index of the default `PARAM_CHOICE`.
     pub default_number: f64,
@@ -126,7 +127,7 @@ pub struct NodeType {
     pub name: Str,
     /// Family: source, stereo, stitch, tools, arm, overlay, sink, filter.
     pub family: Str,
-    /// What the node does, for people.
+    /// Description of the node, for users.
     pub doc: Str,
     /// Input ports.
     pub inputs: *const Port,
@@ -190,7 +191,7 @@ pub struct Plugin {
     pub name: Str,
     /// Version for people.
     pub version: Str,
-    /// What the plugin is for.
+    /// Purpose of the plugin.
     pub doc: Str,
     /// Node types, one pointer each.
     pub node_types: *const *const NodeType,

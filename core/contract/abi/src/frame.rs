@@ -97,7 +97,7 @@ unsafe impl Sync for Frame {}
 pub struct PortRange {
     /// Index of the first frame.
     pub first: u32,
-    /// How many frames; 1 except for list ports.
+    /// Number of frames; 1 except for list ports.
     pub count: u32,
 }
 

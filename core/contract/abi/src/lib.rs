@@ -2,7 +2,7 @@
 //!
 //! Only `repr(C)` data crosses: no type whose layout Rust chooses, no trait object, no allocation that one side makes
 //! and the other frees. Fields are only ever appended; every struct that may grow opens with its own size.
-//! `panoscope.h` beside this crate is generated from these files.
+//! `panoscope.h` next to this crate is generated from these files.
 //!
 //! A plugin exports one C function, [`ENTRY_SYMBOL`], that returns a [`Plugin`] descriptor, and carries a [`Note`] in
 //! its ELF file with the same name and version, readable without running any code.

@@ -51,8 +51,8 @@ pub struct Camera {
     pub cx: f64,
     /// Principal point in px, vertical.
     pub cy: f64,
-    /// k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y. A tau_x of 1e6 marks an equidistant lens (Kannala and Brandt; OpenCV's `fisheye`),
-    /// whose k1, k2, k3, k4 come first; all others are 0.
+    /// k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y. A tau_x of 1e6 marks an equidistant lens (Kannala
+    /// and Brandt; OpenCV's `fisheye`), whose k1, k2, k3, k4 come first; all others are 0.
     pub distortion: [f64; 14],
 }
 
@@ -98,8 +98,8 @@ pub struct CloudPoint {
     pub z_mm: f32,
     /// Blue, green, red.
     pub bgr: [u8; 3],
-    /// 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a guess, and no length is taken from
-    /// it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
+    /// 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a
+    /// guess, and no length is taken from it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
     pub filled: u8,
 }
 
@@ -147,7 +147,8 @@ pub struct DetectionsHeader {
     pub image_width: u32,
     /// Height in px of the image that was searched.
     pub image_height: u32,
-    /// `instances` only: bytes of bit masks after the label text. Per entry a mask of the whole image, rows padded to whole bytes, most significant bit first.
+    /// `instances` only: bytes of bit masks after the label text. Per entry a mask of the whole image, rows padded to
+    /// whole bytes, most significant bit first.
     pub masks_len: u64,
 }
 
@@ -208,7 +209,7 @@ pub struct Joints {
 pub struct Scalar {
     /// The number.
     pub value: f64,
-    /// What it is, zero-padded.
+    /// Name of the number, zero-padded.
     pub name: [u8; 32],
     /// Its unit, zero-padded.
     pub unit: [u8; 16],

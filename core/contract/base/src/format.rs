@@ -2,7 +2,7 @@
 
 use panoscope_abi as abi;
 
-/// How a frame's payload is laid out.
+/// Layout of a frame's payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Format {
     /// One of the contract's `FORMAT_` constants.
@@ -91,7 +91,8 @@ pub fn pixel_bytes(id: u32) -> usize {
 
 /// Bytes from the first pixel of an image to the end of its last one; 0 for an image without rows.
 ///
-/// Sizes may come from another plugin: `None` when rows overlap (`stride_bytes` is shorter than a row) or the sum overflows.
+/// Sizes may come from another plugin: `None` when rows overlap (`stride_bytes` is shorter than a row) or the sum
+/// overflows.
 #[inline]
 pub fn image_bytes(width: usize, height: usize, stride_bytes: usize, pixel_bytes: usize) -> Option<usize> {
     let row = width.checked_mul(pixel_bytes)?;

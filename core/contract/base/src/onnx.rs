@@ -19,14 +19,15 @@ pub const RUNTIME_VARIABLE: &str = "ORT_DYLIB_PATH";
 /// Maximum depth of nested graphs; deeper files are treated as hostile.
 const MAX_DEPTH: usize = 16;
 
-/// Field of a model that holds one file of weights, after all fields of ONNX. Readers of ONNX skip fields that they do not know.
+/// Field of a model that holds one file of weights, after all fields of ONNX. Readers of ONNX skip fields that they do
+/// not know.
 const BUNDLED: u64 = 52_001;
 
 /// Bytes that are not a complete ONNX file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{reason} at byte {offset}")]
 pub struct Malformed {
-    /// What is wrong.
+    /// Description of the problem.
     pub reason: &'static str,
     /// Position in the file, bytes.
     pub offset: usize,

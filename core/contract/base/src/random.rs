@@ -1,5 +1,5 @@
-//! Pseudo-random numbers that are the same on every machine: SplitMix64 (Steele, Lea, Flood, "Fast Splittable Pseudorandom Number
-//! Generators", OOPSLA 2014, figure 17).
+//! Pseudo-random numbers that are the same on every machine: SplitMix64 (Steele, Lea, Flood, "Fast Splittable
+//! Pseudorandom Number Generators", OOPSLA 2014, figure 17).
 
 /// Increment of the state per number.
 const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;

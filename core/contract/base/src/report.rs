@@ -1,4 +1,4 @@
-//! How algorithms report warnings and metrics without knowing the framework.
+//! Reports of warnings and metrics by algorithms, independent of the framework.
 
 /// Receives what an algorithm reports besides its result.
 pub trait Report {

@@ -8,10 +8,12 @@ use std::thread::JoinHandle;
 
 use crate::Parallel;
 
-/// Rounds that an idle helper looks for work before it sleeps: benches time loops that follow each other within microseconds.
+/// Rounds that an idle helper looks for work before it sleeps: benches time loops that follow each other within
+/// microseconds.
 const SPINS: usize = 2000;
 
-/// A fixed number of threads that wait for loops. One loop runs at a time; a loop started meanwhile runs on its caller alone.
+/// A fixed number of threads that wait for loops. One loop runs at a time; a loop started meanwhile runs on its caller
+/// alone.
 pub struct Threads {
     shared: Arc<Shared>,
     helpers: Vec<JoinHandle<()>>,

@@ -132,8 +132,8 @@ impl<P> Image<'_, P> {
     }
 }
 
-/// Bytes from the first pixel of a frame to the end of the last. Checks that they lie inside the buffer and are aligned to
-/// elements of `size` bytes, a power of two.
+/// Bytes from the first pixel of a frame to the end of the last. Checks that they lie inside the buffer and are aligned
+/// to elements of `size` bytes, a power of two.
 #[inline]
 fn checked_len(frame: &abi::Frame, channels: usize, size: usize) -> Result<usize> {
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);

@@ -1,4 +1,5 @@
-//! Typed outputs: buffers of the host, handed to it when the call returns. An output that the node does not make is empty.
+//! Typed outputs: buffers of the host, handed to it when the call returns. An output that the node does not make is
+//! empty.
 
 use panoscope_base::format::IMAGE_FORMATS;
 use std::marker::PhantomData;

@@ -38,7 +38,8 @@ pub(crate) struct Problem<'a> {
 }
 
 impl<'a> Validation<'a> {
-    /// A check of node type `N`. `wiring`: number of connections of each input, and a bit set of the outputs that are read, where known.
+    /// A check of node type `N`. `wiring`: number of connections of each input, and a bit set of the outputs that are
+    /// read, where known.
     pub(crate) fn new<N: Node>(
         node_id: &'a str,
         graph_dir: &'a Path,
@@ -99,8 +100,8 @@ impl<'a> Validation<'a> {
         self.connections.map(|_| index >= 64 || self.outputs_read >> index & 1 == 1)
     }
 
-    /// Reports that the node cannot open, or no tick can succeed, because of parameter `param`. `message` says what is wrong in one
-    /// sentence, `help` what to do.
+    /// Reports that the node cannot open, or no tick can succeed, because of parameter `param`. `message` says what is
+    /// wrong in one sentence, `help` what to do.
     ///
     /// # Panics
     /// The node has no such parameter.

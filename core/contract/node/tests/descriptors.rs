@@ -48,7 +48,7 @@ struct Parts {
     params: Vec<abi::Param>,
     node: abi::NodeType,
     plugin: abi::Plugin,
-    /// How many times the type is listed.
+    /// Number of entries of the type in the list.
     times: usize,
 }
 

@@ -369,7 +369,7 @@ fn every_packet_family_survives_a_hop() -> TestResult {
     Ok(())
 }
 
-/// How pixels between others are found.
+/// Interpolation between pixels.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 enum Method {
     /// The nearest one.

@@ -5,7 +5,7 @@ use quote::{ToTokens, quote, quote_spanned};
 use syn::Type;
 use syn::spanned::Spanned;
 
-/// What a struct declares, in the order of its fields.
+/// Declarations of a struct, in the order of its fields.
 pub struct Declarations {
     /// `Params` or `Ports<'f>`: the trait of a flattened struct.
     nested_trait: TokenStream,

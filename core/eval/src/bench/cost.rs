@@ -20,7 +20,7 @@ use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Pace};
 use crate::session::{Session, note};
 
-/// Pictures of 16:9, as used by endoscopes and screens.
+/// Images of 16:9, as used by endoscopes and screens.
 const SIZES: [(u32, u32); 6] = [(640, 360), (960, 540), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)];
 const CORES: [usize; 5] = [1, 2, 4, 8, 16];
 /// Ticks between source and sinks in a live graph, as admitted by the engine.

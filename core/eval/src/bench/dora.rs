@@ -1,4 +1,5 @@
-//! The peer of nodes in Python: a Python node of dora (`pip install dora-rs dora-rs-cli pyarrow`), on the same machine in the same run.
+//! The peer of nodes in Python: a Python node of dora (`pip install dora-rs dora-rs-cli pyarrow`), on the same machine
+//! in the same run.
 
 use std::path::Path;
 use std::process::Command;

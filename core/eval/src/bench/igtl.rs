@@ -1,7 +1,7 @@
 //! OpenIGTLink: delay of a message forwarded by a graph, compared with the OpenIGTLink library and pyigtl.
 //!
 //! A graph of `igtl_receive` and `igtl_send` runs in a separate process. This process sends it transforms at 1,000 Hz,
-//! then pictures, over loopback and measures the time until each returns: two transfers, two nodes and the engine
+//! then images, over loopback and measures the time until each returns: two transfers, two nodes and the engine
 //! between them. The program on the library does the same without an engine.
 
 use std::collections::BTreeMap;
@@ -114,7 +114,7 @@ fn number_of(content: &Content<'_>) -> Option<u64> {
     }
 }
 
-/// A picture whose first bytes are its number. Red and blue are swapped on the way through a graph and back.
+/// An image whose first bytes are its number. Red and blue are swapped on the way through a graph and back.
 fn picture(number: u64, pixels: &mut [u8]) -> Result<Content<'_>> {
     pixels[..8].copy_from_slice(&number.to_le_bytes());
     let image = Image::picture(SIZE_PX.0, SIZE_PX.1, 3, Scalar::Uint8, 1.0, pixels);
@@ -233,7 +233,7 @@ fn pyigtl_ms(folder: &Path, seconds: f64) -> Result<Option<Vec<f64>>> {
     Ok(Some(times_ms))
 }
 
-/// Measures: transforms at 1,000 Hz, pictures of 640x480 at 60 Hz and as fast as they come back.
+/// Measures: transforms at 1,000 Hz, images of 640x480 at 60 Hz and as fast as they come back.
 ///
 /// # Errors
 /// The graph does not run, or a connection breaks.

@@ -1,7 +1,7 @@
 //! The thesis's chain step by step, compared with OpenCV's four steps (thesis, table 3.2), and lengths and depths on
 //! the phantom compared with ground truth (figs 3.14 and 3.15).
 //!
-//! Both chains are graphs of real nodes on the same pictures of the phantom, rendered beforehand and run alternately,
+//! Both chains are graphs of real nodes on the same images of the phantom, rendered beforehand and run alternately,
 //! one pair after the other. Times are the nodes' own, measured by the engine.
 
 use std::path::{Path, PathBuf};

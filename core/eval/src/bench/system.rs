@@ -131,7 +131,7 @@ fn source(graph: &Table) -> Result<(String, Value)> {
     Ok((name.clone(), node.clone()))
 }
 
-/// Number of pairs for the size of a phantom's pictures.
+/// Number of pairs for the size of a phantom's images.
 fn pairs_of(phantom: &Value) -> u64 {
     let of = |name: &str, default: u64| {
         let value = phantom.get("params").and_then(|params| params.get(name)).and_then(Value::as_integer);

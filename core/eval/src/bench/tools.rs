@@ -28,7 +28,7 @@ pub struct Options {
     pub masks: Option<PathBuf>,
 }
 
-/// The peer: options are node, model, picture, frames, threads.
+/// The peer: options are node, model, image, frames, threads.
 const PEER: &str = include_str!("tools_peer.py");
 const INPUT: &str = "phantom 640x480";
 
@@ -39,7 +39,7 @@ struct Peer {
     found: usize,
 }
 
-/// One picture of the phantom with instruments.
+/// One image of the phantom with instruments.
 fn picture(session: &dyn Session, folder: &Path) -> Result<PathBuf> {
     let file = folder.join("picture.png");
     let text = format!(

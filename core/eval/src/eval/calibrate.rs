@@ -36,7 +36,7 @@ pub struct Options {
     pub cases: Vec<String>,
     /// Folders of data sets, searched before the default ones.
     pub data: Vec<PathBuf>,
-    /// Folder for the pictures of each case.
+    /// Folder for the images of each case.
     pub pictures: Option<PathBuf>,
 }
 
@@ -102,7 +102,7 @@ fn board(name: &str) -> Result<Board> {
     Ok(name.parse()?)
 }
 
-/// The 13 pairs of OpenCV's documentation: our steps and the sample's, on the same pictures.
+/// The 13 pairs of OpenCV's documentation: our steps and the sample's, on the same images.
 fn chessboard(session: &dyn Session, first: &Path, pictures: Option<&Path>, figures: &mut Vec<Figure>) -> Result<()> {
     let pattern = |side: &str| first.with_file_name(format!("{side}??.jpg")).display().to_string();
     let mut options = calibration::Options::new(&pattern("left"), &pattern("right"), board("chessboard:9x6:25mm")?);

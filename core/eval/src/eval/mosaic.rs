@@ -44,7 +44,7 @@ pub struct Options {
     pub speed_mm_s: f64,
     /// Mean distance of the tissue, mm.
     pub distance_mm: f64,
-    /// Width of the camera's pictures, px.
+    /// Width of the camera's images, px.
     pub width: u32,
     /// Seed of the scenes.
     pub seed: u64,

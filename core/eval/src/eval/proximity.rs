@@ -24,7 +24,7 @@ pub struct Options {
     pub scenes: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
-    /// Width of the phantom's pictures, px.
+    /// Width of the phantom's images, px.
     pub width: u32,
     /// Mean distance of the tissue, mm: the nearer, the closer to it the instruments work.
     pub distance_mm: f64,

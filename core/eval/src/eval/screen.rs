@@ -68,7 +68,7 @@ fn hear(heard: &Heard, name: &str, value: f64) {
     all.entry(name.to_owned()).or_default().push(value);
 }
 
-/// Share of empty pixels, %, and the picture.
+/// Share of empty pixels, %, and the image.
 fn seen(frame: &FrameRef) -> Option<(f64, RgbImage)> {
     let mut pixels = packets::bytes(frame, 3)?;
     let all = pixels.as_chunks_mut::<3>().0;
@@ -81,7 +81,7 @@ fn seen(frame: &FrameRef) -> Option<(f64, RgbImage)> {
 /// Runs the graph up to its screens and evaluates each tick.
 ///
 /// # Errors
-/// The graph has mistakes or no screen, the run fails, a picture cannot be written, or the session is cancelled.
+/// The graph has mistakes or no screen, the run fails, an image cannot be written, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let ready =
         graph_file::open(&options.graph, &options.given).map_err(|diagnostics| EvalError::Check { diagnostics })?;

@@ -96,7 +96,8 @@ pub struct Tunings {
 /// Finds gains for both channels of the arm's controller on the simulated arm.
 ///
 /// # Errors
-/// An option is out of range, the graph cannot be used, the loop does not oscillate under relay feedback, or the session is cancelled.
+/// An option is out of range, the graph cannot be used, the loop does not oscillate under relay feedback, or the
+/// session is cancelled.
 pub fn tune(session: &dyn Session, options: &Options) -> Result<Tunings> {
     if !(0.0..=100.0).contains(&options.overshoot_pct) {
         let reason = format!("--overshoot is {}: it is a percentage, 0 to 100", options.overshoot_pct);

@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Length of each run, s of media time.
     #[arg(long, default_value_t = arm::Options::default().seconds, value_parser = clap::value_parser!(u32).range(8..=3600))]
     seconds: u32,
-    /// Width of the phantom's pictures in the graph's runs, px.
+    /// Width of the phantom's images in the graph's runs, px.
     #[arg(long, default_value_t = arm::Options::default().width, value_parser = clap::value_parser!(u32).range(64..=1920))]
     width: u32,
     /// Inputs of the campaign against the limits.

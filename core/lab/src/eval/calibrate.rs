@@ -13,7 +13,7 @@ pub struct Arguments {
     /// Folder of data sets, searched before the default ones; repeatable.
     #[arg(long, value_name = "DIR")]
     data: Vec<PathBuf>,
-    /// Folder for the pictures of each case.
+    /// Folder for the images of each case.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Writes the figures as JSON.

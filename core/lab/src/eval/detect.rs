@@ -63,7 +63,7 @@ pub struct Arguments {
     /// Split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
     #[arg(long, value_name = "NAME")]
     split: Option<String>,
-    /// Folder of the pictures of --truth, if they are not next to it.
+    /// Folder of the images of --truth, if they are not next to it.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
     /// Folder of data sets, searched before the default ones; repeatable.
@@ -78,7 +78,7 @@ pub struct Arguments {
     /// Python of --selfcheck.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
-    /// Folder for pictures: curves, confusions, reliability diagrams, contact sheets of the worst misses.
+    /// Folder for images: curves, confusions, reliability diagrams, contact sheets of the worst misses.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Writes tables 5.1 to 5.5 of the thesis as Markdown; `-` shows them.

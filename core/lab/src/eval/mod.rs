@@ -41,7 +41,7 @@ pub enum Eval {
     Skill(skill::Arguments),
     /// False and missed warnings near tissue and other tips, compared with the phantom's exact distances.
     Proximity(proximity::Arguments),
-    /// A graph's screen: share of the main picture, dead area, cut surface, depths beyond the colours.
+    /// A graph's screen: share of the main image, dead area, cut surface, depths beyond the colours.
     Screen(screen::Arguments),
 }
 

@@ -25,7 +25,7 @@ pub struct Arguments {
     /// Mean distance of the tissue, mm.
     #[arg(long, default_value_t = mosaic::Options::default().distance_mm)]
     distance_mm: f64,
-    /// Width of the camera's pictures, px.
+    /// Width of the camera's images, px.
     #[arg(long, default_value_t = mosaic::Options::default().width, value_parser = clap::value_parser!(u32).range(160..=1920))]
     width: u32,
     /// Seed of the scenes.

@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Length of each run, s of media time.
     #[arg(long, default_value_t = proximity::Options::default().seconds, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
-    /// Width of the phantom's pictures, px.
+    /// Width of the phantom's images, px.
     #[arg(long, default_value_t = proximity::Options::default().width, value_parser = clap::value_parser!(u32).range(160..=1920))]
     width: u32,
     /// Mean distance of the tissue, mm: the nearer, the closer to it the instruments work.

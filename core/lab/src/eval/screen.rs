@@ -11,10 +11,10 @@ use panoscope_cli::given::Given;
 pub struct Arguments {
     /// Graph with a `screen`.
     graph: PathBuf,
-    /// Number of pictures.
+    /// Number of images.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     frames: u64,
-    /// Folder for the screen of each picture, as PNG.
+    /// Folder for the screen of each image, as PNG.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Sets a parameter; overrides the file; repeatable.

@@ -54,14 +54,15 @@ pub struct Arguments {
     sweeps: Sweeps,
 }
 
-/// Graphs side by side on the same pictures of the phantom; `--set scope.PARAM=VALUE` sets a parameter of the phantom.
+/// Graphs side by side on the same images of the phantom; `--set scope.PARAM=VALUE` sets a parameter of the phantom.
 #[derive(clap::Args)]
 struct Sweeps {
-    /// Sweeps the speed of the cameras, cm/s, as `1,2.5,10` or `0.5..10` or `0.5..10:0.5`: share of stitched frames and alignment of each
-    /// graph; of our conventional, ROI and grid and the thesis's chapters 2 and 4 when no graph is given.
+    /// Sweeps the speed of the cameras, cm/s, as `1,2.5,10` or `0.5..10` or `0.5..10:0.5`: share of stitched frames and
+    /// alignment of each graph; of our conventional, ROI and grid and the thesis's chapters 2 and 4 when no graph is
+    /// given.
     #[arg(long, value_name = "LIST", conflicts_with_all = ["case", "rows"])]
     speeds: Option<SpeedList>,
-    /// Evaluates each graph on hard pictures (few features, smoke, blur, low light, real pairs): share of stitched
+    /// Evaluates each graph on hard images (few features, smoke, blur, low light, real pairs): share of stitched
     /// frames, alignment, time, jitter; the thesis's chapters 2 and 4 and our ROI and grid when no graph is given.
     #[arg(long, conflicts_with_all = ["case", "rows", "speeds"])]
     cases: bool,

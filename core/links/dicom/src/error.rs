@@ -11,7 +11,7 @@ pub enum DicomError {
     Malformed {
         /// Expected content.
         what: String,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
     /// A worklist entry without the identification of a study.
@@ -35,7 +35,7 @@ pub enum DicomError {
     Input {
         /// The file.
         file: PathBuf,
-        /// Why.
+        /// Reason.
         problem: String,
     },
     /// A file that cannot be read.

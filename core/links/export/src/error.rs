@@ -89,7 +89,7 @@ pub enum ExportError {
         port: String,
         /// The tick.
         tick: u64,
-        /// What is wrong.
+        /// Description of the problem.
         cause: ValueError,
     },
 }

@@ -11,8 +11,8 @@
 //! | `pose` | `/node/port` | `geometry_msgs/msg/PoseStamped`, m |
 //! | `joints` | `/node/port` | `sensor_msgs/msg/JointState` |
 //!
-//! Other packets have no message in ROS's common packages and are left out; the report says so. Stamps are times of capture, frames end with
-//! `_optical_frame`.
+//! Other packets have no message in ROS's common packages and are left out; the report says so. Stamps are times of
+//! capture, frames end with `_optical_frame`.
 
 use std::path::Path;
 
@@ -84,7 +84,7 @@ fn calibration(export: &Export<'_>) -> Result<Option<abi::Calibration>, ExportEr
     Ok(None)
 }
 
-/// The optical frame of a picture, by the output's name.
+/// The optical frame of an image, by the output's name.
 fn frame_of(port: &Port<'_>) -> &'static str {
     let output = port.name.rsplit_once('.').map_or(port.name, |(_, output)| output);
     match port.packet.as_str() {

@@ -53,7 +53,7 @@ impl Port<'_> {
     }
 }
 
-/// How a port is stored in a target, such as `PNG` or `foxglove.PointCloud`.
+/// Format of a port in a target, such as `PNG` or `foxglove.PointCloud`.
 pub type Form = &'static str;
 
 /// Result of the export of one port.

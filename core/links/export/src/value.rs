@@ -8,7 +8,7 @@ use panoscope_record::format::PacketHead;
 
 use crate::error::ValueError;
 
-/// How the bytes of a packet are laid out.
+/// Layout of the bytes of a packet.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     /// One of the contract's `FORMAT_` constants.
@@ -67,7 +67,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind of a packet of this format; plain bytes need the name of their type. `None` for types that are not of the contract.
+    /// The kind of a packet of this format; plain bytes need the name of their type. `None` for types that are not of
+    /// the contract.
     pub fn of(format: u32, packet: Option<&str>) -> Option<Self> {
         match (format, packet) {
             (abi::FORMAT_CLOUD, _) => Some(Self::Cloud),

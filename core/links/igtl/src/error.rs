@@ -1,6 +1,6 @@
 //! Errors of this crate.
 
-/// Why bytes are no message, or a message cannot be written.
+/// Bytes that are not a message, or a message that cannot be written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IgtlError {

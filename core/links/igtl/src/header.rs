@@ -34,7 +34,8 @@ impl<'a> Header<'a> {
     /// Reads the first [`HEADER_BYTES`] of `bytes`.
     ///
     /// # Errors
-    /// There are fewer bytes, the version is unknown, or the type is not printable ASCII, as in a stream that is out of step.
+    /// There are fewer bytes, the version is unknown, or the type is not printable ASCII, as in a stream that is out of
+    /// step.
     pub fn decode(bytes: &'a [u8]) -> Result<Self> {
         let mut fields = Fields::new("header", bytes);
         let version = fields.u16("version")?;

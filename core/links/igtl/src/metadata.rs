@@ -1,7 +1,7 @@
 //! Extended header and metadata of header versions 2 and 3.
 //!
-//! A body is: extended header (its size, size of the metadata's index, size of the metadata's texts, message number), content, index (count, then
-//! length of the key, encoding, length of the value for each entry), texts.
+//! A body is: extended header (its size, size of the metadata's index, size of the metadata's texts, message number),
+//! content, index (count, then length of the key, encoding, length of the value for each entry), texts.
 
 use std::borrow::Cow;
 

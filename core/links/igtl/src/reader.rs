@@ -7,7 +7,7 @@ use crate::error::{IgtlError, Result};
 use crate::header::{HEADER_BYTES, Header};
 use crate::message::Message;
 
-/// Default limit of a body, bytes: a picture of 8192 x 8192 px with four bytes each.
+/// Default limit of a body, bytes: an image of 8192 x 8192 px with four bytes each.
 pub const DEFAULT_BODY_LIMIT: u64 = 256 << 20;
 
 /// Minimum number of bytes per read.
@@ -106,7 +106,8 @@ impl Reader {
     /// The next complete message; `None` until more bytes are read.
     ///
     /// # Errors
-    /// [`IgtlError::Crc`] loses that message only. After any other error the stream cannot be followed: see [`Self::is_broken`].
+    /// [`IgtlError::Crc`] loses that message only. After any other error the stream cannot be followed: see
+    /// [`Self::is_broken`].
     pub fn next_message(&mut self) -> Result<Option<Raw<'_>>> {
         if self.is_broken {
             return Ok(None);

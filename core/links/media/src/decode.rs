@@ -95,11 +95,11 @@ impl Decoder {
         Ok(this)
     }
 
-    /// Decodes a packet into rows of blue, green and red: `size_px` columns and rows, `stride` bytes from row to row. The video may be one column and
-    /// one row larger.
+    /// Decodes a packet into rows of blue, green and red: `size_px` columns and rows, `stride` bytes from row to row.
+    /// The video may be one column and one row larger.
     ///
     /// # Errors
-    /// The packet has no picture of this size, or is damaged.
+    /// The packet has no image of this size, or is damaged.
     ///
     /// # Panics
     /// When the rows do not lie inside `bgr`.

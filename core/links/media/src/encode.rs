@@ -14,13 +14,13 @@ use crate::MediaError;
 use crate::elements::{init, make};
 use crate::planes::{PlaneMut, bgr_to_bgrx, bgr_to_i420};
 
-/// Parts of an FFV1 picture that are encoded in parallel.
+/// Parts of an FFV1 image that are encoded in parallel.
 const FFV1_SLICES: i32 = 4;
 
-/// How pictures are compressed.
+/// Compression of images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VideoCodec {
-    /// One JPEG per picture; `quality_pct` from 1 to 100.
+    /// One JPEG per image; `quality_pct` from 1 to 100.
     Mjpeg {
         /// Quality, %.
         quality_pct: u8,
@@ -63,7 +63,7 @@ pub enum RateControl {
     Kbits(u32),
 }
 
-/// How H.264 and HEVC packets are framed.
+/// Framing of H.264 and HEVC packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Framing {
     /// For files: lengths before the units, parameter sets in the caps.
@@ -84,11 +84,11 @@ pub struct EncoderSettings {
     /// Frames per second, used for bit rates and for files of constant rate. Each packet still keeps the time of its
     /// frame.
     pub rate_hz: Fraction,
-    /// Distance of key frames in pictures, for codecs that have other frames.
+    /// Distance of key frames in images, for codecs that have other frames.
     pub key_interval: u32,
 }
 
-/// A compressed picture.
+/// A compressed image.
 #[derive(Clone, Debug)]
 pub struct Packet {
     /// Compressed bytes, with presentation time and flags.
@@ -124,9 +124,9 @@ pub struct Encoder {
     /// Reused once the elements have released it.
     picture: Option<Buffer>,
     pictures: u64,
-    /// Times of the frames whose packets are not complete yet. The elements count pictures at a constant rate, because
-    /// codecs spend bits by the time between pictures and some cannot hold a time in ms; packets come in the order of
-    /// their pictures.
+    /// Times of the frames whose packets are not complete yet. The elements count images at a constant rate, because
+    /// codecs spend bits by the time between images and some cannot hold a time in ms; packets come in the order of
+    /// their images.
     times_ns: VecDeque<u64>,
     collected: Arc<Mutex<Collected>>,
 }
@@ -366,16 +366,16 @@ impl Encoder {
         }
     }
 
-    /// Makes the next picture a key frame.
+    /// Makes the next image a key frame.
     pub fn force_key(&self) {
         self.source.push_event(DownstreamForceKeyUnitEvent::builder().all_headers(true).build());
     }
 
-    /// Encodes a picture with presentation time `time_ns`; times must increase. `bgr`: rows of blue, green, red without
+    /// Encodes an image with presentation time `time_ns`; times must increase. `bgr`: rows of blue, green, red without
     /// padding, `size_px` columns and rows as in the settings.
     ///
     /// # Errors
-    /// The encoder fails, or the picture does not have this size.
+    /// The encoder fails, or the image does not have this size.
     pub fn encode(&mut self, bgr: &[u8], size_px: (usize, usize), time_ns: u64) -> Result<Vec<Packet>, MediaError> {
         let buffer = self.fill(bgr, size_px)?;
         self.times_ns.push_back(time_ns);
@@ -412,7 +412,7 @@ impl Encoder {
         packets
     }
 
-    /// Announces the pictures that follow.
+    /// Announces the images that follow.
     fn begin(&mut self) -> Result<(), MediaError> {
         let caps = self.info.to_caps().map_err(|error| self.failure(error.to_string()))?;
         self.source.push_event(gstreamer::event::StreamStart::new("pictures"));

@@ -168,7 +168,8 @@ impl FromYuv {
     }
 }
 
-/// A component of a picture in memory: its values are `step` bytes apart, and each covers 2 to the power of `shift` columns and rows.
+/// A component of an image in memory: its values are `step` bytes apart, and each covers 2 to the power of `shift`
+/// columns and rows.
 pub struct Component<'a> {
     /// The first value is that of the upper left corner.
     pub plane: Plane<'a>,
@@ -226,7 +227,8 @@ fn yuv_row(from: FromYuv, luma: &[u8], cb: &[u8], cr: &[u8], bgr: &mut [u8]) {
     }
 }
 
-/// Planes of luma, Cb and Cr by BT.601 (16 to 235) to BGR rows that are `stride` bytes apart; the planes may be larger than `size`.
+/// Planes of luma, Cb and Cr by BT.601 (16 to 235) to BGR rows that are `stride` bytes apart; the planes may be larger
+/// than `size`.
 pub fn i420_to_bgr([luma, cb, cr]: [Plane<'_>; 3], size: Size, stride: usize, bgr: &mut [u8]) {
     let component = |plane, shift| Component { plane, step: 1, shift };
     let components = [component(luma, (0, 0)), component(cb, (1, 1)), component(cr, (1, 1))];

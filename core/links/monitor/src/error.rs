@@ -13,7 +13,7 @@ pub enum MonitorError {
     Listen {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
     /// The server's thread could not be started.
@@ -21,7 +21,7 @@ pub enum MonitorError {
     Thread {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
 }

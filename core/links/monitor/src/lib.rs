@@ -4,9 +4,9 @@
 //!
 //! | path | content |
 //! |---|---|
-//! | `/` | a page with the pictures of the graph, their ages, and the state of its nodes |
+//! | `/` | a page with the images of the graph, their ages, and the state of its nodes |
 //! | `/state` | the same as JSON |
-//! | `/pictures/NODE.OUTPUT` | the newest picture of an output, JPEG: maps in colours, clouds as the camera saw them |
+//! | `/pictures/NODE.OUTPUT` | the newest image of an output, JPEG: maps in colours, clouds as the camera saw them |
 //! | `/metrics` | counters and times in the text format of Prometheus |
 //!
 //! Nothing can be changed through it. It never holds a frame back: images come from previews, which exist only while a

@@ -15,8 +15,8 @@ const PACE: f32 = 0.2;
 /// Every n-th value is used for the range.
 const LOOK: usize = 7;
 
-/// A map or a cloud as rows of blue, green, red without padding; `None` for other formats. `bytes` holds all rows of `frame`. Confidences keep their
-/// range of 0 to 1.
+/// A map or a cloud as rows of blue, green, red without padding; `None` for other formats. `bytes` holds all rows of
+/// `frame`. Confidences keep their range of 0 to 1.
 pub fn painted(frame: &Frame, bytes: &[u8], packet: &str, range: &mut Range) -> Option<Vec<u8>> {
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
     let rows = |pixel: usize| bytes.chunks(stride.max(1)).take(height).map(move |row| &row[..width * pixel]);

@@ -1,4 +1,4 @@
-//! Which outputs are shown, and their pictures as JPEG.
+//! Which outputs are shown, and their images as JPEG.
 
 use panoscope_base::{View, format};
 use panoscope_data::formats::{Pixels, still};

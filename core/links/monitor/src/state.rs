@@ -25,7 +25,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The newest picture of an output.
+/// The newest image of an output.
 #[derive(Clone)]
 struct Picture {
     frame: FrameRef,
@@ -45,7 +45,7 @@ struct Known {
     asked: HashMap<String, Instant>,
 }
 
-/// A picture for a client.
+/// An image for a client.
 pub struct Encoded {
     /// JPEG.
     pub jpeg: Vec<u8>,
@@ -180,7 +180,7 @@ impl Shared {
         lock(&self.known).pictures.retain(|name, _| source.previews.contains_key(name));
     }
 
-    /// The newest picture of an output; `None` for names that are not shown; `Err` with a reason while there is no
+    /// The newest image of an output; `None` for names that are not shown; `Err` with a reason while there is no
     /// image.
     pub fn picture(&self, name: &str) -> Option<Result<Encoded, PictureError>> {
         let mut known = lock(&self.known);

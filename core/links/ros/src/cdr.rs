@@ -1,4 +1,5 @@
-//! Messages as CDR, the encoding of DDS and of bags: four bytes that name the byte order, then the fields, each at a multiple of its size.
+//! Messages as CDR, the encoding of DDS and of bags: four bytes that name the byte order, then the fields, each at a
+//! multiple of its size.
 
 use byteorder::{BigEndian, LittleEndian};
 use serde::{Deserialize, Serialize};
@@ -26,7 +27,7 @@ pub enum CdrError {
     Fields {
         /// Name of the type.
         message: &'static str,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
     /// A value that cannot be encoded.
@@ -34,7 +35,7 @@ pub enum CdrError {
     Encode {
         /// Name of the type.
         message: &'static str,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
 }
@@ -70,10 +71,11 @@ pub fn encode<M: Message + Serialize>(message: &M) -> Result<Vec<u8>, CdrError> 
     Ok(bytes)
 }
 
-/// Decodes a message of either byte order. Pixels and points stay in `bytes`. Bytes after the last field are ignored, as writers pad.
+/// Decodes a message of either byte order. Pixels and points stay in `bytes`. Bytes after the last field are ignored,
+/// as writers pad.
 ///
 /// # Errors
-/// The bytes are no message of this type.
+/// The bytes are not a message of this type.
 pub fn decode<'b, M: Message + Deserialize<'b>>(bytes: &'b [u8]) -> Result<M, CdrError> {
     let (head, body) = bytes.split_first_chunk::<4>().ok_or(CdrError::Short { len: bytes.len() })?;
     decode_body(u16::from_be_bytes([head[0], head[1]]), body)

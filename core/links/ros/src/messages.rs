@@ -141,7 +141,7 @@ pub struct CameraInfo {
     pub distortion_model: String,
     /// Its coefficients.
     pub d: Vec<f64>,
-    /// Camera matrix of the raw picture, by rows.
+    /// Camera matrix of the raw image, by rows.
     pub k: [f64; 9],
     /// Rotation from the camera to the rectified camera, by rows.
     pub r: [f64; 9],
@@ -335,7 +335,7 @@ pub struct ObjectHypothesis {
 pub struct ObjectHypothesisWithPose {
     /// Class and score.
     pub hypothesis: ObjectHypothesis,
-    /// Not used by boxes on pictures.
+    /// Not used by boxes on images.
     pub pose: PoseWithCovariance,
 }
 

@@ -60,7 +60,8 @@ pub struct Outcome {
     pub escapes: u64,
     /// Description of the first of them.
     pub first: Option<String>,
-    /// Largest share of each limit used: angles (of the half range), speed, acceleration, jerk, camera speed, pivot, tilt.
+    /// Largest share of each limit used: angles (of the half range), speed, acceleration, jerk, camera speed, pivot,
+    /// tilt.
     pub most: [f64; 7],
     /// Number of inputs under each cause, by [`Cause::number`].
     pub causes: [u64; Cause::ALL.len() + 1],

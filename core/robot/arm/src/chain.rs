@@ -1,7 +1,7 @@
 //! A chain of six turning joints read from URDF: forward kinematics and the geometric Jacobian.
 //!
-//! Lengths in mm, angles in rad. All joints at 0 is home. The link `scope_tip` ends the tube (z along it), `left_camera` is the camera (x right,
-//! y down, z forward), `trocar` is fixed to the base.
+//! Lengths in mm, angles in rad. All joints at 0 is home. The link `scope_tip` ends the tube (z along it),
+//! `left_camera` is the camera (x right, y down, z forward), `trocar` is fixed to the base.
 
 use nalgebra::{Isometry3, Point3, SMatrix, SVector, Translation3, Unit, UnitQuaternion, Vector3};
 use urdf_rs::{JointType, Robot};
@@ -171,7 +171,8 @@ impl Stance {
         out
     }
 
-    /// Velocity of a point fixed to the last link, and the link's angular velocity, per joint velocity, in the base's frame.
+    /// Velocity of a point fixed to the last link, and the link's angular velocity, per joint velocity, in the base's
+    /// frame.
     pub fn jacobian(&self, point_mm: &Point3<f64>) -> Jacobian {
         let mut out = Jacobian::zeros();
         for k in 0..JOINTS {

@@ -16,7 +16,7 @@ pub enum ArmError {
     NoLink {
         /// Name of the link.
         link: &'static str,
-        /// What it names.
+        /// Meaning of the name.
         what: &'static str,
     },
     /// Links that form a cycle.
@@ -52,7 +52,7 @@ pub enum ArmError {
     BadNumber {
         /// Name of the joint.
         joint: String,
-        /// What the number is.
+        /// Meaning of the number.
         what: &'static str,
         /// The number.
         value: f64,

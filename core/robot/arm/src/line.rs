@@ -14,9 +14,9 @@
 //! | `A SEQ STATE P1 P2 P3 P4 P5 P6*CRC` | arm | answer to `Q`, `S` and `C` with their `SEQ`: state and encoder angles |
 //!
 //! STATE is `R` (ready), `W` (stopped by its watchdog), `E` (hardware stop pressed) or `F` (fault of the hardware). The
-//! arm has a watchdog of its own: while it moves and no valid `S` line arrives for 30 ms, it brakes, holds, and answers
-//! `W` until `C`. It ignores lines with a wrong CRC and lines that it does not know. So the arm stops when the driver,
-//! the program or the cable fails.
+//! arm has its own watchdog: while it moves and no valid `S` line arrives for 30 ms, it brakes, holds, and answers `W`
+//! until `C`. It ignores lines with a wrong CRC and lines that it does not know. So the arm stops when the driver, the
+//! program or the cable fails.
 //!
 //! Version 1 had an exclusive-or of 8 bits, which accepts every 15th line that lost two bytes.
 //! [`Received::OlderProtocol`] detects it.
@@ -95,7 +95,8 @@ impl DeviceState {
     }
 }
 
-/// One line of the protocol. `seq` is the number of the driver's line; an answer carries the number of the line that it answers.
+/// One line of the protocol. `seq` is the number of the driver's line; an answer carries the number of the line that it
+/// answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
     /// `H`.

@@ -60,10 +60,11 @@ impl Pid {
         *self = Self::default();
     }
 
-    /// Advances by `dt_s` and returns the output, E/s. A step of no time, or a sample that is not finite, returns 0 and changes nothing.
+    /// Advances by `dt_s` and returns the output, E/s. A step of no time, or a sample that is not finite, returns 0 and
+    /// changes nothing.
     ///
-    /// At its own limit, and while `is_limited`, the integral only decreases in size. Within the dead zone the derivative fades to 0, so that noise
-    /// does not move an arm at rest.
+    /// At its own limit, and while `is_limited`, the integral only decreases in size. Within the dead zone the
+    /// derivative fades to 0, so that noise does not move an arm at rest.
     pub fn step(&mut self, gains: &Gains, sample: &Sample, dt_s: f64) -> f64 {
         let Sample { error, slow_error, measured, is_limited } = *sample;
         if !((error + slow_error + measured).is_finite() && dt_s > 0.0 && dt_s.is_finite()) {

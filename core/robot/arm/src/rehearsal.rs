@@ -2,7 +2,7 @@
 //! scripted tips.
 //!
 //! As in the graph, the cameras are where the arm was one tick ago, and the tip is known only while it is in the left
-//! picture, with the noise of stereo. Finds and evaluates gains quickly; the graph is evaluated separately.
+//! image, with the noise of stereo. Finds and evaluates gains quickly; the graph is evaluated separately.
 
 use nalgebra::{Point3, Vector3};
 use panoscope_tracking::kalman::Model;
@@ -15,7 +15,7 @@ use crate::dynamics::{Quality, SimArm};
 use crate::interlock::{Evidence, Interlock, TubePose};
 use crate::pid::Gains;
 
-/// Left picture of the thesis's scope, px.
+/// Left image of the thesis's scope, px.
 const WIDTH_PX: f64 = 640.0;
 const HEIGHT_PX: f64 = 480.0;
 const FOCAL_PX: f64 = 750.0;
@@ -36,7 +36,7 @@ pub enum Scenario {
     Circle,
     /// Strokes like a surgeon's at up to 25 mm/s.
     Strokes,
-    /// The tool leaves the picture and returns.
+    /// The tool leaves the image and returns.
     Leave,
     /// Another tool passes in front; detections have no track numbers.
     Cross,
@@ -76,8 +76,8 @@ impl Scenario {
     }
 }
 
-/// Default set-points and gains: those of `arm_pid` (a test there compares them). Near the result of `panoscope tune`, with less derivative: more of
-/// it lowers the error by a few percent, but the camera shakes by a third more.
+/// Default set-points and gains: those of `arm_pid` (a test there compares them). Near the result of `panoscope tune`,
+/// with less derivative: more of it lowers the error by a few percent, but the camera shakes by a third more.
 pub fn shipped_goals() -> Goals {
     let gains =
         Gains { proportional: 6.0, integral: 0.2, derivative: 0.2, filter_s: 0.08, dead_zone: 2.0, most: 250.0 };
@@ -99,7 +99,7 @@ pub struct Row {
     pub at_s: f64,
     /// Distance of the true tip from its set-point, mm.
     pub error_mm: f64,
-    /// Error of the true tip in the picture, px.
+    /// Error of the true tip in the image, px.
     pub error_px: [f64; 2],
     /// Error of its distance from the left camera, mm.
     pub distance_error_mm: f64,
@@ -314,7 +314,7 @@ pub struct Measures {
     pub max_mm: f64,
     /// Standard deviation of the error, mm.
     pub deviation_mm: f64,
-    /// Share of ticks with the tip in the picture, of those in which the scenario has it there, %.
+    /// Share of ticks with the tip in the image, of those in which the scenario has it there, %.
     pub in_view_pct: f64,
     /// Share of those ticks in which the tip was hidden or not found, %.
     pub hidden_pct: f64,
@@ -324,14 +324,14 @@ pub struct Measures {
     pub track_off_mm: f64,
     /// Largest distance of the tube from the trocar in the whole run, mm.
     pub pivot_mm: f64,
-    /// Mean error in the picture over the last second, % of its width.
+    /// Mean error in the image over the last second, % of its width.
     pub rest_pct: f64,
     /// Mean error of the distance over the last second, mm.
     pub rest_mm: f64,
-    /// Root mean square acceleration of the camera, mm/s^2: how steady the picture is.
+    /// Root mean square acceleration of the camera, mm/s^2: how steady the image is.
     pub shake_mm_s2: f64,
-    /// Settling time: from the end of the tip's first movement until the error stays below 2 mm for a second, s; NaN if the error never exceeds 2 mm
-    /// or never settles.
+    /// Settling time: from the end of the tip's first movement until the error stays below 2 mm for a second, s; NaN if
+    /// the error never exceeds 2 mm or never settles.
     pub settling_s: f64,
     /// Overshoot in percent of the step; NaN under the same conditions.
     pub overshoot_pct: f64,

@@ -1,7 +1,8 @@
 //! Joint velocities for several tasks with priorities: first the trocar, then the tip and the horizon.
 //!
-//! Two ranks of tasks: the second works in the null space of the first (Siciliano and Slotine 1991), by damped least squares whose
-//! damping grows near singular poses (Nakamura and Hanafusa 1986). Joints that near a limit slow the whole movement, so that it keeps its shape.
+//! Two ranks of tasks: the second works in the null space of the first (Siciliano and Slotine 1991), by damped least
+//! squares whose damping grows near singular poses (Nakamura and Hanafusa 1986). Joints that near a limit slow the
+//! whole movement, so that it keeps its shape.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3, Vector4};
 
@@ -22,7 +23,7 @@ const PIVOT_RATE: f64 = 8.0;
 /// Rate at which a roll of the horizon decays, 1/s.
 const ROLL_RATE: f64 = 2.0;
 
-/// A requested movement of the picture.
+/// A requested movement of the image.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
     /// The observed point in the left camera's frame, mm.
@@ -42,7 +43,7 @@ pub struct Solution {
     pub share: f64,
 }
 
-/// Rotation of the picture about the tube's axis, relative to the direction `up` (in the base's frame), rad.
+/// Rotation of the image about the tube's axis, relative to the direction `up` (in the base's frame), rad.
 pub fn roll_rad(stance: &Stance, up: &Vector3<f64>) -> f64 {
     let seen = stance.base_from_camera.inverse_transform_vector(up);
     seen.x.atan2(-seen.y)

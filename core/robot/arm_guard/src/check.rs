@@ -16,7 +16,7 @@ const IN_MEMORY: [rustix::fs::FsWord; 2] = [0x0102_1994, 0x8584_58f6];
 /// Permissions granted, and the reasons for those that were not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Check {
-    /// What the system granted.
+    /// Rights that the system granted.
     pub granted: Granted,
     /// Highest real-time priority (RLIMIT_RTPRIO); `None` for no limit.
     pub priority_limit: Option<u64>,

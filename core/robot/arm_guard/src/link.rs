@@ -19,7 +19,7 @@ const ASK_OLDER: Duration = Duration::from_millis(300);
 /// Maximum number of lines without an answer.
 const OUTSTANDING: usize = 64;
 
-/// How to reach the arm.
+/// Connection to the arm.
 #[derive(Clone, Debug)]
 pub struct Connection {
     /// The device's file.

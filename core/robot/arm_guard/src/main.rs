@@ -1,4 +1,5 @@
-//! `panoscope-arm`: the arm's interlock, started by the nodes `arm_serial` and `arm_ur` with a socket as standard input.
+//! `panoscope-arm`: the arm's interlock, started by the nodes `arm_serial` and `arm_ur` with a socket as standard
+//! input.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

@@ -1,7 +1,7 @@
 //! Messages between the program and the guard: fixed-size records over a socket pair that keeps their boundaries.
 //!
-//! Every record ends with a CRC-32 of the bytes before it. All numbers are little-endian. A record that is not valid is ignored and counted: its
-//! contents cannot be trusted, and without valid ones the arm stops.
+//! Every record ends with a CRC-32 of the bytes before it. All numbers are little-endian. A record that is not valid is
+//! ignored and counted: its contents cannot be trusted, and without valid ones the arm stops.
 
 use panoscope_arm_core::interlock::{Event, Evidence, Settings};
 use panoscope_arm_core::line::Serial;

@@ -81,7 +81,7 @@ pub enum PortError {
     NotReady {
         /// Host and port.
         place: String,
-        /// Why.
+        /// Reason.
         cause: Cause,
         /// What to do.
         advice: &'static str,

@@ -5,7 +5,7 @@ pub const PRIORITY: i32 = 60;
 /// Maximum locked memory that the guard needs, KiB.
 pub const MEMORY_KIB: u64 = 65_536;
 
-/// What the system granted.
+/// Rights that the system granted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Granted {
     /// Whether memory is locked in RAM.

@@ -14,7 +14,7 @@ const HEADER: usize = 3;
 /// Longest package that is accepted, bytes; RTDE's longest is a list of names, 2048 bytes.
 pub const MAX_LEN: usize = 4096;
 
-/// What the controller sends: names and types.
+/// Outputs of the controller: names and types.
 pub const OUTPUTS: [(&str, &str); 11] = [
     ("timestamp", "DOUBLE"),
     ("actual_q", "VECTOR6D"),
@@ -28,7 +28,7 @@ pub const OUTPUTS: [(&str, &str); 11] = [
     ("output_int_register_27", "INT32"),
     ("output_int_register_28", "INT32"),
 ];
-/// What the guard writes: names and types. Registers from 24 are for external clients.
+/// Inputs written by the guard: names and types. Registers from 24 are for external clients.
 pub const INPUTS: [(&str, &str); 9] = [
     ("input_double_register_24", "DOUBLE"),
     ("input_double_register_25", "DOUBLE"),

@@ -1,7 +1,9 @@
-//! The loop of the guard. It owns the connection to the arm, the interlock and the latches, and continues when the program does not.
+//! The loop of the guard. It owns the connection to the arm, the interlock and the latches, and continues when the
+//! program does not.
 //!
-//! Every few milliseconds ([`ArmPort::period`]) it reads the arm's answers and the program's requests, advances the interlock to the present, and sends a set-point while anything
-//! moves. Nothing is allocated and no file is written while the arm moves.
+//! Every few milliseconds ([`ArmPort::period`]) it reads the arm's answers and the program's requests, advances the
+//! interlock to the present, and sends a set-point while anything moves. Nothing is allocated and no file is written
+//! while the arm moves.
 
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::PathBuf;
@@ -61,7 +63,7 @@ pub enum ServeError {
 
 /// Settings of the guard.
 pub struct Options {
-    /// How to reach the arm.
+    /// Connection to the arm.
     pub target: Target,
     /// The arm.
     pub chain: Chain,
@@ -163,7 +165,8 @@ impl Server {
         }
     }
 
-    /// Sleeps until `next`, or until the demand expires or the program ends, so that braking is sent at once. True when it woke early.
+    /// Sleeps until `next`, or until the demand expires or the program ends, so that braking is sent at once. True when
+    /// it woke early.
     fn wait(&mut self, next: Instant) -> bool {
         let left = next.saturating_duration_since(Instant::now());
         let mut sleep = left;

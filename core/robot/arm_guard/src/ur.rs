@@ -56,7 +56,7 @@ const PROGRAM_READY: [i32; 2] = [2, 3];
 const MAKE_READY: &str = "make the robot ready at its pendant and start panoscope_arm.script there";
 const COPY_PROGRAM: &str = "copy the panoscope_arm.script of this version to the robot and start it";
 
-/// How to reach an arm.
+/// Connection to an arm.
 #[derive(Clone, Debug)]
 pub struct UrConnection {
     /// Name or address of the controller.
@@ -116,7 +116,8 @@ fn can_follow(before: &State, after: &State) -> bool {
     seconds > 0.0 && (0..JOINTS).all(|k| (after.angles[k] - before.angles[k]).abs() <= reach_rad)
 }
 
-/// Compares the controller's clock with this machine's. The deadman counts control cycles, so a slow controller stops late.
+/// Compares the controller's clock with this machine's. The deadman counts control cycles, so a slow controller stops
+/// late.
 #[derive(Debug, Default)]
 struct ClockCheck {
     /// Controller time and local time at the last comparison, ns.
@@ -172,7 +173,8 @@ impl UrLink {
     /// Connects and waits until the robot's program echoes a heartbeat. Moves nothing and clears no stop.
     ///
     /// # Errors
-    /// The controller cannot be reached, another program uses its inputs, its software is too old, or the robot's program does not run.
+    /// The controller cannot be reached, another program uses its inputs, its software is too old, or the robot's
+    /// program does not run.
     pub fn open(connection: &UrConnection) -> Result<(Self, Identity), PortError> {
         let serial = dashboard::serial_number(&connection.host, connection.dashboard_port)?;
         let mut link = Self {

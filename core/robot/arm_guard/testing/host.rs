@@ -17,7 +17,7 @@ use panoscope_arm_guard::clock;
 use panoscope_arm_guard::link::Connection;
 use panoscope_arm_guard::message::Request;
 
-/// Time between two requests, as of a camera with 100 pictures a second.
+/// Time between two requests, as of a camera with 100 frames per second.
 const TICK: Duration = Duration::from_millis(10);
 /// Time before a stop is released again while the arm has not moved; longer than a release takes.
 const PATIENCE: Duration = Duration::from_millis(1500);

@@ -21,7 +21,7 @@ const CLOSED_MM: f64 = 1.0;
 /// Largest lean of the opening's direction: tangent against the direction across the shaft.
 const MAX_LEAN: f64 = 1.0;
 
-/// The axis of a shaft in the picture, in units of the focal length (x/z, y/z).
+/// The axis of a shaft in the image, in units of the focal length (x/z, y/z).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axis {
     /// A point of the axis.
@@ -76,7 +76,7 @@ fn is_recent(at_ns: i64, now_ns: i64, max_ns: i64) -> bool {
 }
 
 impl Jaws {
-    /// Adds both ends in an image that shows them, the direction of the shaft in the picture (a unit vector towards the
+    /// Adds both ends in an image that shows them, the direction of the shaft in the image (a unit vector towards the
     /// jaws), and the length of the jaws along it, mm. Ends too far apart for one instrument, and numbers that are not
     /// finite, are ignored.
     pub fn see_both(&mut self, now_ns: i64, ends_mm: [Vector3<f64>; 2], along: Vector2<f64>, length_mm: f64) {
@@ -119,7 +119,7 @@ impl Jaws {
         self.both.filter(|both| is_recent(both.seen_ns, now_ns, KNOWN_NS)).map(|both| both.length_mm)
     }
 
-    /// Direction of the shaft in the last picture that showed both ends.
+    /// Direction of the shaft in the last image that showed both ends.
     pub fn along(&self, now_ns: i64) -> Option<Vector2<f64>> {
         self.both.filter(|both| is_recent(both.seen_ns, now_ns, KNOWN_NS)).map(|both| both.along)
     }
@@ -176,7 +176,8 @@ fn in_camera(v: Vector3<f64>, along: Vector2<f64>) -> Vector3<f64> {
 mod tests {
     use super::*;
 
-    /// Jaws of 17 mm at 66 mm on a shaft from the right that rises towards the camera, held with a roll; half the angle between them as given.
+    /// Jaws of 17 mm at 66 mm on a shaft from the right that rises towards the camera, held with a roll; half the angle
+    /// between them as given.
     struct Grasper {
         middle: Vector3<f64>,
         shaft: Vector3<f64>,

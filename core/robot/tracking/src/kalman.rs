@@ -1,5 +1,5 @@
-//! A point that moves in space: Kalman filter of constant velocity with a gate (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to
-//! Tracking and Navigation", 2001, chapters 5 and 6).
+//! A point that moves in space: Kalman filter of constant velocity with a gate (Bar-Shalom, Li, Kirubarajan,
+//! "Estimation with Applications to Tracking and Navigation", 2001, chapters 5 and 6).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -34,7 +34,8 @@ pub struct Kalman {
     covariance: Covariance,
 }
 
-/// Covariance in mm^2 of a point seen by two cameras, in their frame: `lateral_px` and `disparity_px` are standard deviations in the picture.
+/// Covariance in mm^2 of a point seen by two cameras, in their frame: `lateral_px` and `disparity_px` are standard
+/// deviations in the image.
 pub fn stereo_covariance(
     xyz_mm: &Vector3<f64>,
     focal_px: f64,
@@ -99,7 +100,7 @@ impl Kalman {
         }
     }
 
-    /// How unlikely a measurement is: its squared Mahalanobis distance, and that plus the logarithm of the determinant
+    /// Improbability of a measurement: its squared Mahalanobis distance, and that plus the logarithm of the determinant
     /// of the covariance (mm^6), which compares filters of unequal certainty. `None` when the result is not finite.
     pub fn unlikelihood(&self, at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Option<(f64, f64)> {
         let off = at_mm - self.position_mm();

@@ -50,7 +50,7 @@ impl std::fmt::Display for Applied {
     }
 }
 
-/// Why a change failed. The running graph is unchanged.
+/// A change that failed; the running graph is unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum ApplyError {
     /// A node did not open.
@@ -74,7 +74,7 @@ pub enum ApplyError {
     /// The graph no longer fits the loaded plugins.
     #[error("{reason}; check the graph again")]
     Stale {
-        /// What changed.
+        /// The changed parts.
         reason: String,
     },
     /// `live` and `batch` do not mix.
@@ -95,7 +95,7 @@ pub enum ApplyError {
         /// The tick after which the graph should change has already entered the graph.
         next: u64,
     },
-    /// A tick was given for a node that is no source.
+    /// A tick was given for a node that is not a source.
     #[error("`{node}` is no source of the running graph, nothing was changed: ticks are named by their source")]
     NoSource {
         /// As given by the caller.
@@ -116,7 +116,7 @@ pub enum ApplyError {
     Busy {
         /// A node that is still busy.
         node: String,
-        /// How long the engine waited.
+        /// Duration of the wait.
         seconds: u64,
     },
 }

@@ -45,7 +45,7 @@ pub(crate) trait Running {
     fn tick(&self) -> Tick;
 }
 
-/// What the calling thread does for a node. Copied into threads that help it with a loop.
+/// Work of the calling thread for a node. Copied into threads that help it with a loop.
 #[derive(Clone, Copy)]
 pub(crate) struct CurrentWork {
     /// The node whose `process` runs.
@@ -61,7 +61,8 @@ thread_local! {
     static OTHER: Slot<(*const NodeNames, CallKind)> = const { Slot::new((std::ptr::null(), CallKind::Process)) };
 }
 
-/// The calling thread runs `process` of `node` until [`end_call`]. Costs two stores: the node's name is looked up only after a crash.
+/// The calling thread runs `process` of `node` until [`end_call`]. Costs two stores: the node's name is looked up only
+/// after a crash.
 #[inline]
 pub(crate) fn begin_call(node: &(dyn Running + 'static)) {
     CALL.with(|call| call.set(Some(node)));

@@ -21,7 +21,8 @@ pub struct SourceTick {
     pub gap: bool,
 }
 
-/// The packets that a node takes next: the tick that fires it, and source slot and tick number of each connection's packet.
+/// The packets that a node takes next: the tick that fires it, and source slot and tick number of each connection's
+/// packet.
 #[derive(Clone, Debug)]
 pub struct Wanted {
     /// The tick that fires the node.
@@ -55,7 +56,7 @@ pub enum Turn {
     },
 }
 
-/// Why a tick of a source cannot be played.
+/// A tick of a source that cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum FramesError {
     /// The source has lost an output since.
@@ -73,7 +74,7 @@ pub enum FramesError {
     /// A packet cannot be read.
     #[error("{reason}")]
     Read {
-        /// Why.
+        /// Reason.
         reason: String,
     },
 }

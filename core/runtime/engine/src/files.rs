@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 pub use panoscope_base::files::{create, is_special};
 
-/// How long a run waits for the lock of an output: a run that was just killed may still hold it.
+/// Maximum wait of a run for the lock of an output: a run that was just killed may still hold it.
 pub const LOCK_PATIENCE: Duration = Duration::from_secs(1);
 /// Time between two attempts to lock.
 const LOCK_POLL: Duration = Duration::from_millis(10);
@@ -30,8 +30,8 @@ pub struct OutputLocked {
 
 /// An exclusive claim on an output, against other processes and other engines of this one.
 ///
-/// It is a lock on the hidden file `.NAME.lock` next to the output, which is removed with it. The system releases the lock when the process
-/// ends, however it ends; the next run takes over a lock file that a killed one left.
+/// It is a lock on the hidden file `.NAME.lock` next to the output, which is removed with it. The system releases the
+/// lock when the process ends, however it ends; the next run takes over a lock file that a killed one left.
 #[derive(Debug)]
 pub struct OutputLock {
     path: PathBuf,
@@ -40,8 +40,8 @@ pub struct OutputLock {
 }
 
 impl OutputLock {
-    /// Takes the lock of `output`, which need not exist. `None` where nothing can be locked: a device or a pipe, a folder that does not exist
-    /// or is not writable, a file system without locks.
+    /// Takes the lock of `output`, which need not exist. `None` where nothing can be locked: a device or a pipe, a
+    /// folder that does not exist or is not writable, a file system without locks.
     ///
     /// # Errors
     /// Another run has the lock, also after `patience`.

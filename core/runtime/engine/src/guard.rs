@@ -1,5 +1,6 @@
-//! Calls into plugins off the hot path: open, close, save and load state. They run on a separate thread with a time limit;
-//! if one does not return in time, its thread and instance are abandoned and another thread makes the remaining calls.
+//! Calls into plugins off the hot path: open, close, save and load state. They run on a separate thread with a time
+//! limit; if one does not return in time, its thread and instance are abandoned and another thread makes the remaining
+//! calls.
 //!
 //! On the hot path the watchdog does the same: see [`crate::watch`].
 
@@ -44,9 +45,9 @@ pub(crate) enum CallError {
     /// It took too long.
     #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .kind.return_words())]
     NoReturn {
-        /// What was called.
+        /// The called function.
         kind: CallKind,
-        /// How long the engine waited.
+        /// Duration of the wait.
         seconds: f64,
     },
     /// No thread could be started for the call.
@@ -139,9 +140,9 @@ impl<T> Line<T> {
 }
 
 impl Shared {
-    /// Makes calls one after the other, until `goes_on` rejects a result, and passes each result to `take` on the calling thread. A call
-    /// that takes longer than `limit` is abandoned with its thread; its node counts it as stuck until it returns. After such a call
-    /// `take` decides whether the next calls are made.
+    /// Makes calls one after the other, until `goes_on` rejects a result, and passes each result to `take` on the
+    /// calling thread. A call that takes longer than `limit` is abandoned with its thread; its node counts it as stuck
+    /// until it returns. After such a call `take` decides whether the next calls are made.
     pub fn guarded<T: Send + 'static>(
         self: &Arc<Self>,
         limit: Limit,
@@ -388,7 +389,7 @@ impl<F: Fn()> Drop for OnDrop<F> {
     }
 }
 
-/// Why an instance could not be opened.
+/// An instance that could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OpenError {
     /// The node refused.

@@ -31,7 +31,8 @@ pub fn keep_free(bytes: usize) {
     set(None, i32::try_from(bytes).unwrap_or(i32::MAX));
 }
 
-/// Sets from which size on blocks are mapped, where it is given, and how much memory may stay free at the end of the heap.
+/// Sets from which size on blocks are mapped, where it is given, and how much memory may stay free at the end of the
+/// heap.
 fn set(mapped_bytes: Option<i32>, free_bytes: i32) {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: sets numbers of the allocator, under its own lock.

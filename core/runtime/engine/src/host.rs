@@ -56,7 +56,7 @@ pub(crate) struct CallContext<'a> {
     pub context: &'a RunContext,
     /// The sources of the graph; none in calls that have no tick.
     pub sources: Option<&'a dyn Sources>,
-    /// What the node asks and declares about times; none in calls that have no tick.
+    /// Questions and declarations of the node about times; none in calls that have no tick.
     pub times: Option<&'a mut CallTimes>,
     /// Whether `times` was used in this call.
     pub has_times: bool,
@@ -263,7 +263,8 @@ pub unsafe fn place(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bo
     call_context.place(output, &made)
 }
 
-/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues there.
+/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues
+/// there.
 ///
 /// # Safety
 /// `call` is the handle of the running call.
@@ -469,7 +470,8 @@ pub(crate) fn table(threads: usize) -> Host {
     }
 }
 
-/// The table given to a plugin when it is loaded; valid until the process ends. Its handle identifies the plugin on any thread.
+/// The table given to a plugin when it is loaded; valid until the process ends. Its handle identifies the plugin on any
+/// thread.
 pub(crate) fn plugin_table(descriptor: *const abi::Plugin) -> *const Host {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let ctx = retained::plugin_of(descriptor.cast()) as *mut c_void;

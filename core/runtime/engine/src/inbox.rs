@@ -19,7 +19,7 @@ pub struct Heard {
     pub made_ns: u64,
 }
 
-/// What happens when the queue is full.
+/// Behaviour if the queue is full.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Full {
     /// The node waits: no packet is lost.

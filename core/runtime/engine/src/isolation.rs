@@ -47,7 +47,7 @@ pub struct GroupSettings {
     pub threads: usize,
     /// Maximum number of bytes of private memory that the process may have.
     pub memory_bytes: u64,
-    /// What its nodes are denied.
+    /// Denied permissions of its nodes.
     pub deny: Deny,
     /// Whether the standard error of the process goes into the message about its end instead of to this process's
     /// standard error.
@@ -64,7 +64,8 @@ pub trait Group: Send + Sync {
     /// [`abi::NodeType::open`] in the process.
     ///
     /// # Safety
-    /// As for `open` of the contract: everything that the call points to outlives it, the host's functions outlive the instance.
+    /// As for `open` of the contract: everything that the call points to outlives it, the host's functions outlive the
+    /// instance.
     unsafe fn open(
         &self,
         entry: &'static abi::NodeType,

@@ -195,7 +195,8 @@ impl Join {
         *self = Join { turn, has_spare, previous, ..new };
     }
 
-    /// Hands all slots over to the node's successor. From here on packets that a call of a producer still delivers here belong to the successor.
+    /// Hands all slots over to the node's successor. From here on packets that a call of a producer still delivers here
+    /// belong to the successor.
     pub fn hand_over(&mut self) -> Join {
         std::mem::replace(self, Join { turn: Turn::Finished, is_handed_over: true, ..Join::default() })
     }

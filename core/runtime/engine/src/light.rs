@@ -5,11 +5,13 @@
 //! whatever their alignment:
 //!
 //! - An input counts with the time by which its light is older than that of the tick.
-//! - A `delay` input on a loop is the state of the tick before. Its one step is not counted: it counts with the time by which its packet is
-//!   older than the reader's previous tick. The lag that the packet has itself fades with the time since, so no age grows round a loop.
-//! - What shows no light does not count: an input that only says where to look (`guide = true` on its edge), a `calibration`, and the packets
-//!   of a source that owns no device and ended after a single tick, such as a reader of one file.
-//! - What a source makes has the light of its own tick, whatever its inputs are.
+//! - A `delay` input on a loop is the state of the tick before. Its one step is not counted: it counts with the time by
+//!   which its packet is older than the reader's previous tick. The lag that the packet has itself fades with the time
+//!   since, so no age grows round a loop.
+//! - What shows no light does not count: an input that only says where to look (`guide = true` on its edge), a
+//!   `calibration`, and the packets of a source that owns no device and ended after a single tick, such as a reader of
+//!   one file.
+//! - What a source makes has the capture time of its own tick, whatever its inputs are.
 //!
 //! In `batch` and in a replay the capture time takes the place of the arrival, so that no result depends on the wall
 //! clock.
@@ -65,7 +67,8 @@ pub(crate) fn later(a: u32, b: u32) -> u32 {
     if b == 0 { a } else { (a & !NEWEST).max(b & !NEWEST) | (a & NEWEST).max(b & NEWEST) }
 }
 
-/// A number of `bits` bits, of which [`EXPONENT_BITS`] are the exponent: exact while it is small, rounded up from there on.
+/// A number of `bits` bits, of which [`EXPONENT_BITS`] are the exponent: exact while it is small, rounded up from there
+/// on.
 fn encode(lag_ns: i64, bits: u32) -> u32 {
     let digits = bits - EXPONENT_BITS;
     let units = lag_ns.max(0).unsigned_abs().div_ceil(UNIT_NS);
@@ -88,7 +91,8 @@ fn decode(code: u32, bits: u32) -> i64 {
 
 /// The sources of a running graph.
 pub(crate) trait Sources {
-    /// When the light of a tick arrived, in ns of the host's clock; negative for light from before its start. `None` where it is unknown.
+    /// When the light of a tick arrived, in ns of the host's clock; negative for light from before its start. `None`
+    /// where it is unknown.
     fn arrived_ns(&self, tick: &Tick) -> Option<i64>;
 
     /// Whether the packets of a tick show no light, because its source owns no device and ended after this one tick.

@@ -1,4 +1,4 @@
-//! What a plugin loader needs from the engine: the host's function table, and names for crash reports.
+//! Parts of the engine for a plugin loader: the host's function table, and names for crash reports.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -27,7 +27,8 @@ pub fn use_table(table: &'static abi::Host) {
     let _ = OTHER_TABLE.set(table);
 }
 
-/// Runs code of a plugin's file that belongs to no node yet: constructors, its description. A crash report names the file.
+/// Runs code of a plugin's file that belongs to no node yet: constructors, its description. A crash report names the
+/// file.
 pub fn run<T>(file: &Path, work: impl FnOnce() -> T) -> T {
     current_node::loading(file, work)
 }

@@ -1,5 +1,5 @@
-//! A bounded queue in front of a slow reader: a terminal that nobody reads, a full pipe, a disk. Writers never wait. Items that find the
-//! queue full are counted, and the count takes their place.
+//! A bounded queue in front of a slow reader: a terminal that nobody reads, a full pipe, a disk. Writers never wait.
+//! Items that find the queue full are counted, and the count takes their place.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,7 +11,7 @@ use crate::sync::lock;
 
 /// Length of the queue; further items are skipped.
 pub(crate) const MAX_WAITING: usize = 1024;
-/// How long dropping a queue waits for items that are not written yet.
+/// Maximum wait of dropping a queue for unwritten items.
 const MAX_FLUSH: Duration = Duration::from_secs(1);
 
 /// Items of all queues of the process that are not written yet.
@@ -73,8 +73,8 @@ impl<T> Inner<T> {
 }
 
 impl<T: Send + 'static> Outbox<T> {
-    /// A queue whose thread, of this name, passes items to `write` one after the other. A panic of `write` loses one item, not the queue;
-    /// `panicked` receives the panic's message.
+    /// A queue whose thread, of this name, passes items to `write` one after the other. A panic of `write` loses one
+    /// item, not the queue; `panicked` receives the panic's message.
     pub fn new(
         name: &str,
         note: fn(u64) -> T,

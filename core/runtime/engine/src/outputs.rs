@@ -8,7 +8,7 @@ use crate::fault::Cause;
 /// Maximum size of an output of a node, bytes.
 pub(crate) const MAX_OUTPUT_BYTES: usize = 256 << 20;
 
-/// How to check the contents of an output after a call.
+/// Check of the content of an output after a call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum ContentCheck {
     Nothing,

@@ -1,7 +1,7 @@
 //! Lays out a checked graph for the scheduler: readers of each output, inline chains, regions.
 //!
-//! A node has a *slot*, a number that it keeps as long as a node of its name is in the graph, so that ticks and tasks in
-//! flight mean the same node before and after a change. Slots of removed nodes are reused.
+//! A node has a *slot*, a number that it keeps as long as a node of its name is in the graph, so that ticks and tasks
+//! in flight mean the same node before and after a change. Slots of removed nodes are reused.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -271,7 +271,8 @@ pub(crate) fn runtime(
     Arc::new(NodeRuntime::new(spec, join, Snapshot::new(node.params.clone())))
 }
 
-/// Lays out a graph whose nodes have runtimes. `slots` is the slot of each node; regions of `old` whose head stays are kept.
+/// Lays out a graph whose nodes have runtimes. `slots` is the slot of each node; regions of `old` whose head stays are
+/// kept.
 pub(crate) fn lay_out(
     graph: &Graph,
     catalog: &Catalog,
@@ -376,7 +377,8 @@ fn inline_chains(
     }
 }
 
-/// Ticks inside a region in batch. Independent of the number of threads, because results of a loop with a delay depend on the overlap.
+/// Ticks inside a region in batch. Independent of the number of threads, because results of a loop with a delay depend
+/// on the overlap.
 const TICKS_IN_BATCH: u32 = 4;
 /// Ticks inside a live region: one starts while the one before it ends.
 pub const TICKS_LIVE: u32 = 2;
@@ -464,7 +466,8 @@ mod tests {
     use super::*;
     use panoscope_graph::{OnFault, Preset};
 
-    /// A graph of nodes by name; edges as `from > to`, `from ~ to` for the newest there is, `from . to` for that of the tick before.
+    /// A graph of nodes by name; edges as `from > to`, `from ~ to` for the newest there is, `from . to` for that of the
+    /// tick before.
     fn graph(nodes: &[&str], edges: &[&str]) -> Graph {
         let node = |id: &&str| Node {
             id: (*id).to_owned(),
@@ -551,7 +554,8 @@ mod tests {
         assert_eq!(urgencies(&graph), [Urgency::Urgent, Urgency::Patient, Urgency::Urgent]);
     }
 
-    /// Text with parts and the same graph in one file are laid out alike: same order, readers, regions and urgency, so hops cost the same.
+    /// Text with parts and the same graph in one file are laid out alike: same order, readers, regions and urgency, so
+    /// hops cost the same.
     #[test]
     fn parts_do_not_change_the_plan() {
         use panoscope_graph::{GraphOptions, GraphText, NodeType, PacketType, Port, check};

@@ -89,8 +89,8 @@ impl Shared {
         false
     }
 
-    /// The packets of a replayed tick. Withholds packets that the source may not make here, such as one of a format that it no longer
-    /// declares.
+    /// The packets of a replayed tick. Withholds packets that the source may not make here, such as one of a format
+    /// that it no longer declares.
     fn admit_frames(&self, runtime: &NodeRuntime, tick: Tick, frames: Vec<Option<FrameRef>>) -> Vec<FrameRef> {
         let mut frames = frames.into_iter();
         let outputs = runtime.rules.iter().map(|rule| {

@@ -1,4 +1,4 @@
-//! Where the engine finds the code of node types.
+//! Source of the code of node types.
 
 use std::path::PathBuf;
 use std::sync::Arc;

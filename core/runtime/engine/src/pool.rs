@@ -59,7 +59,8 @@ pub enum Urgency {
 }
 
 impl Loop {
-    /// Runs chunks until none is left. A helper leaves a patient loop when an urgent task waits; the loop's caller continues.
+    /// Runs chunks until none is left. A helper leaves a patient loop when an urgent task waits; the loop's caller
+    /// continues.
     fn help(&self, inner: &Inner) {
         while self.urgency == Urgency::Urgent || inner.urgent_tasks.load(Ordering::Relaxed) == 0 {
             if !self.run_chunk() {
@@ -106,14 +107,14 @@ struct State {
     live: usize,
     /// Extra workers while all others are stuck, see [`Pool::relieve`].
     reliefs: Vec<u32>,
-    /// How often a worker returned for another task.
+    /// Number of times that a worker returned for another task.
     turns: u64,
     /// Time since which urgent tasks wait while `returns` does not change; 0 if none waits.
     stalled: (u64, u64),
 }
 
 impl State {
-    /// How long the oldest patient task has waited, in ns.
+    /// Wait of the oldest patient task, ns.
     fn patient_for(&self, now_ns: u64) -> u64 {
         self.patient.front().map_or(0, |(_, since_ns)| now_ns.saturating_sub(*since_ns))
     }
@@ -139,7 +140,7 @@ pub(crate) type PanicFn = Box<dyn Fn(&str, &str) + Send + Sync>;
 
 struct Inner {
     state: Mutex<State>,
-    /// How many urgent tasks wait; read without the lock.
+    /// Number of waiting urgent tasks; read without the lock.
     urgent_tasks: AtomicUsize,
     wake: Condvar,
     /// A worker has started.
@@ -249,7 +250,8 @@ impl Pool {
         let _ = self.inner.panicked.set(tell);
     }
 
-    /// Starts the workers and waits until they run, so that the allocations of a starting thread do not fall between ticks.
+    /// Starts the workers and waits until they run, so that the allocations of a starting thread do not fall between
+    /// ticks.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
         *lock(&self.task) = Some(Arc::clone(task));
         self.fill(task)?;
@@ -408,8 +410,8 @@ pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
     true
 }
 
-/// Runs tasks until the pool stops or the worker is abandoned. An extra worker takes only urgent tasks and ends when there is none;
-/// it helps in no loop, because the others may be stuck in one.
+/// Runs tasks until the pool stops or the worker is abandoned. An extra worker takes only urgent tasks and ends when
+/// there is none; it helps in no loop, because the others may be stuck in one.
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
     CURRENT.set(Some(Arc::clone(inner)));
     warm_up();

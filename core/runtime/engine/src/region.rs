@@ -1,8 +1,8 @@
 //! Regions: nodes joined by `exact` edges, entered by whole ticks through one head.
 //!
 //! A tick is in flight from its admission until every leaf of the region is done with it. In live mode ticks are
-//! dropped only here, where they enter; inside, queues never drop. A paused region admits nothing and retains what comes, so
-//! that the graph can be changed when the ticks inside have finished.
+//! dropped only here, where they enter; inside, queues never drop. A paused region admits nothing and retains what
+//! comes, so that the graph can be changed when the ticks inside have finished.
 
 use std::collections::VecDeque;
 use std::sync::Mutex;
@@ -27,7 +27,7 @@ struct State {
     next_seq: Option<u64>,
     /// Ticks of a live source that wait to enter: those of a pause, then the newest.
     pending: VecDeque<Vec<FrameRef>>,
-    /// How many of them came during a pause and must not be replaced.
+    /// Number of them that came during a pause and must not be replaced.
     protected: usize,
     /// Empty lists for reuse.
     spare: Vec<Vec<FrameRef>>,
@@ -45,7 +45,7 @@ pub(crate) struct Region {
     full: AtomicBool,
 }
 
-/// What may enter after a tick finished.
+/// Ticks that may enter after a tick has finished.
 pub(crate) enum Freed {
     /// Nothing waits.
     Nothing,
@@ -221,8 +221,8 @@ impl Region {
         self.state().paused = true;
     }
 
-    /// Admits nothing from tick `seq` of its source on. `made` is the source's next tick. If `seq` has passed, returns the first tick that
-    /// could still be held back.
+    /// Admits nothing from tick `seq` of its source on. `made` is the source's next tick. If `seq` has passed, returns
+    /// the first tick that could still be held back.
     pub fn pause_before(&self, seq: u64, made: u64) -> Result<(), u64> {
         let mut state = self.state();
         let next = state.pending.front().map_or(made, |p| first_seq(p));

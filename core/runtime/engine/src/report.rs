@@ -33,7 +33,8 @@ pub struct Report {
     /// Per group of isolated nodes.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub groups: BTreeMap<String, GroupReport>,
-    /// Nodes that lost data for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
+    /// Nodes that lost data for good, with the reason: a full disk, a file that could not be completed. Such a run has
+    /// failed.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub stopped: BTreeMap<String, String>,
     /// Heap allocations per frame in steady state, null when not counted.
@@ -62,7 +63,8 @@ pub struct NodeReport {
     /// Packets dropped per edge because its queue was full; edges without drops are not listed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dropped_on: Vec<WireDrops>,
-    /// Ticks per edge at which the packet was older than `max_age_ms` and counted as absent; edges without any are not listed.
+    /// Ticks per edge at which the packet was older than `max_age_ms` and counted as absent; edges without any are not
+    /// listed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub too_old_on: Vec<WireTooOld>,
     /// Ticks not processed because a required input was empty.
@@ -268,7 +270,7 @@ fn starved(plan: &Plan) -> Vec<(String, String)> {
     found
 }
 
-/// What each node did in a time window, for displays; [`Engine::window`](crate::Engine::window) advances it.
+/// Activity of each node in a time window, for displays; [`Engine::window`](crate::Engine::window) advances it.
 #[derive(Default)]
 pub struct Window {
     at_ns: u64,

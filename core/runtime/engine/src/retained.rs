@@ -18,7 +18,8 @@ thread_local! {
     static KEEPER: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
 }
 
-/// Every instance that ever retained a frame, to find the owner of a buffer that is released outside its instance's calls.
+/// Every instance that ever retained a frame, to find the owner of a buffer that is released outside its instance's
+/// calls.
 static KEEPERS: Mutex<Vec<Weak<Inner>>> = Mutex::new(Vec::new());
 /// Buffers that plugins retain outside every call, for example on their own threads.
 static OUTSIDE: Mutex<Vec<(Plugin, BufferId)>> = Mutex::new(Vec::new());
@@ -227,8 +228,8 @@ pub(crate) fn release(plugin: Plugin, id: BufferId) {
     }
 }
 
-/// Removes a buffer from the list of an instance of a plugin, or from what the plugin retains outside every call; `false` if it is in none.
-/// An unknown plugin matches all.
+/// Removes a buffer from the list of an instance of a plugin, or from what the plugin retains outside every call;
+/// `false` if it is in none. An unknown plugin matches all.
 #[cold]
 fn take_elsewhere(plugin: Plugin, id: BufferId) -> bool {
     let same = |other: Plugin| plugin == 0 || other == 0 || plugin == other;

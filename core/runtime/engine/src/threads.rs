@@ -154,7 +154,8 @@ impl Shared {
         false
     }
 
-    /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns whether it waited.
+    /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns
+    /// whether it waited.
     fn wait_for_room(&self, node: usize, runtime: &NodeRuntime) -> bool {
         if self.paced && !self.context.batch {
             return false;
@@ -277,7 +278,8 @@ impl Shared {
         Step::Next
     }
 
-    /// Admits a tick of a source to its region, now or when there is room, and runs what follows for at most `allowance_ns`.
+    /// Admits a tick of a source to its region, now or when there is room, and runs what follows for at most
+    /// `allowance_ns`.
     fn admit(
         &self,
         node: usize,

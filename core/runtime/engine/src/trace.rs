@@ -21,7 +21,8 @@ pub struct Call<'a> {
     pub made_bytes: u64,
 }
 
-/// Receives every call of a node and every dropped tick. The engine's threads call it between two nodes: it must be quick and must not wait.
+/// Receives every call of a node and every dropped tick. The engine's threads call it between two nodes: it must be
+/// quick and must not wait.
 pub trait Tracer: Send + Sync {
     /// A node was called, or skipped for a tick, on the calling thread.
     fn call(&self, call: &Call<'_>);

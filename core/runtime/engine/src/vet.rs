@@ -47,7 +47,7 @@ pub enum TrialError {
     },
 }
 
-/// Why a node must not open in the process of the graph.
+/// The reason for which a node must not open in the process of the graph.
 #[derive(Debug, thiserror::Error)]
 pub enum VetError {
     /// Its trial failed with a message that names the mistake.
@@ -58,7 +58,7 @@ pub enum VetError {
     Files {
         /// The files.
         files: Vec<String>,
-        /// How the trial failed.
+        /// Failure of the trial.
         cause: TrialError,
     },
 }

@@ -1,5 +1,5 @@
-//! The watchdog: detects calls that do not return, abandons them with their thread, and starts restarts of failed nodes. It calls no
-//! plugin itself.
+//! The watchdog: detects calls that do not return, abandons them with their thread, and starts restarts of failed
+//! nodes. It calls no plugin itself.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -144,7 +144,8 @@ impl Shared {
         }
     }
 
-    /// Abandons a call that does not return: its tick continues with empty outputs, and instance and thread are replaced.
+    /// Abandons a call that does not return: its tick continues with empty outputs, and instance and thread are
+    /// replaced.
     #[cold]
     fn abandon(
         &self,

@@ -1,4 +1,5 @@
-//! Arguments of a graph: declared in `[args]`, given on the command line, used as `{ arg = "name" }` wherever a value may stand.
+//! Arguments of a graph: declared in `[args]`, given on the command line, used as `{ arg = "name" }` wherever a value
+//! may stand.
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::nearest::{list, nearest};
@@ -230,7 +231,8 @@ fn same_name(a: &str, b: &str) -> bool {
 }
 
 impl Bindings {
-    /// Takes the declarations of the graph file and of its overlays, and the values of the command line. `file_of` opens `file` arguments.
+    /// Takes the declarations of the graph file and of its overlays, and the values of the command line. `file_of`
+    /// opens `file` arguments.
     pub(crate) fn new(
         sources: &mut Sources,
         graph: Vec<ArgText>,

@@ -1,4 +1,5 @@
-//! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from this.
+//! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from
+//! this.
 
 use crate::catalog::{Catalog, NodeType};
 use crate::param::ParamValue;
@@ -6,7 +7,7 @@ use crate::validate::{Wiring, port_bit};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// What happens when work arrives faster than it is done.
+/// Behaviour if work arrives faster than it is processed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
@@ -17,7 +18,7 @@ pub enum Mode {
     Batch,
 }
 
-/// What the host does when a node faults.
+/// Reaction of the host to a fault of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OnFault {
@@ -30,7 +31,7 @@ pub enum OnFault {
     Stop,
 }
 
-/// How packets of an input are matched with the other inputs of the node.
+/// Matching of an input's packets with the other inputs of the node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Align {
@@ -41,7 +42,7 @@ pub enum Align {
     Latest,
     /// Closest capture time.
     Nearest {
-        /// How far apart capture times may be, and how long to wait, in ms. More than 0.
+        /// Maximum difference of capture times, and maximum wait, in ms. More than 0.
         tolerance_ms: f64,
     },
 }
@@ -75,14 +76,15 @@ pub struct Graph {
     pub edges: Vec<Edge>,
     /// Node positions such that every edge without delay goes forward; ties in file order.
     pub order: Vec<usize>,
-    /// What a surgeon may touch.
+    /// Parts that a surgeon may change.
     pub preset: Preset,
     /// The `[editor]` table as written; the graph never interprets it.
     pub editor: toml::Table,
 }
 
 impl Graph {
-    /// Isolates all nodes of some plugins, in `group` where the graph names none. No node of their groups may do what is denied.
+    /// Isolates all nodes of some plugins, in `group` where the graph names none. No node of their groups may do what
+    /// is denied.
     pub fn isolate_plugins(&mut self, plugins: &[String], group: &str, deny: Deny) {
         let mut groups = Vec::new();
         for node in self.nodes.iter_mut().filter(|node| plugins.contains(&node.plugin)) {
@@ -124,7 +126,7 @@ impl Graph {
     }
 }
 
-/// What the process of a group of isolated nodes may not do.
+/// Denied permissions of the process of a group of isolated nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Deny {
@@ -143,14 +145,14 @@ impl Deny {
         *self == Self::default()
     }
 
-    /// What is denied, as a graph file says it.
+    /// Denied permission, as in a graph file.
     pub fn words(&self) -> impl Iterator<Item = &'static str> {
         let all = [(self.network, "network"), (self.new_files, "new_files")];
         all.into_iter().filter_map(|(denied, word)| denied.then_some(word))
     }
 }
 
-/// How pixels travel to another machine.
+/// Encoding of pixels for another machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Pixels {
@@ -194,7 +196,7 @@ pub struct Machine {
     pub name: String,
     /// Where it listens: `tls/HOST:PORT`, or `tcp/HOST:PORT` without encryption.
     pub address: String,
-    /// How pixels travel.
+    /// Encoding of pixels.
     pub pixels: Pixels,
     /// Silence after which the machine counts as lost, ms.
     pub timeout_ms: u32,
@@ -223,7 +225,7 @@ pub struct Node {
     pub plugin: String,
     /// Values in the type's declaration order, defaults filled in.
     pub params: Vec<ParamValue>,
-    /// What the host does when it faults.
+    /// Reaction of the host to its faults.
     pub on_fault: OnFault,
     /// Time budget per tick, ms.
     pub budget_ms: Option<f64>,
@@ -234,7 +236,7 @@ pub struct Node {
     /// The group in whose process it runs; `None` for the process of the graph.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub isolate: Option<String>,
-    /// What the process of that group may not do.
+    /// Denied permissions of the process of that group.
     #[serde(default, skip_serializing_if = "Deny::is_empty")]
     pub deny: Deny,
     /// The machine that the group runs on, if it is another one.
@@ -266,7 +268,7 @@ pub struct Edge {
     pub to_port: usize,
     /// Position in a list input; 0 for others.
     pub list_index: usize,
-    /// How it is matched with the consumer's other inputs.
+    /// Matching with the consumer's other inputs.
     pub align: Align,
     /// Maximum age of a packet's oldest light, ms; an older packet counts as absent. Not for `exact`.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -4,8 +4,8 @@ use crate::catalog::{Catalog, NodeKind};
 use crate::checked::{Align, Edge, Graph};
 use std::fmt::Write as _;
 
-/// Graphviz text of a graph: nodes as records with their ports, edges labelled with what is not the default. The catalog
-/// must be the one the graph was checked against.
+/// Graphviz text of a graph: nodes as records with their ports, edges labelled with what is not the default. The
+/// catalog must be the one the graph was checked against.
 pub fn to_dot(graph: &Graph, catalog: &Catalog) -> String {
     let mut out = String::new();
     let _ = writeln!(out, "digraph {} {{", quoted(&graph.name));

@@ -9,19 +9,19 @@ pub enum EditError {
     /// The text is not TOML.
     #[error("the graph file is not TOML: {message}")]
     Syntax {
-        /// What the parser says.
+        /// Message of the parser.
         message: String,
     },
     /// No node of that name.
     #[error("there is no node `{id}`")]
     NoNode {
-        /// The name looked for.
+        /// The requested name.
         id: String,
     },
     /// No argument of that name.
     #[error("there is no argument `{name}`")]
     NoArg {
-        /// The name looked for.
+        /// The requested name.
         name: String,
     },
     /// The node belongs to a part; its entry is in the part's file.
@@ -105,12 +105,12 @@ pub enum EditError {
     Shape {
         /// Path of the entry, such as `nodes.wide.params`.
         place: String,
-        /// What it must be.
+        /// Required value.
         expected: &'static str,
     },
 }
 
-/// Why a parameter has no entry in a file.
+/// A parameter without an entry in a file.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum NoHome {
     /// No node of that name.

@@ -29,7 +29,7 @@ pub(crate) struct FileText {
     pub(crate) incomplete: bool,
 }
 
-/// How a file belongs to the graph.
+/// Relation of a file to the graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     Graph,
@@ -37,7 +37,8 @@ pub(crate) enum Role {
     Overlay,
 }
 
-/// The `[part]` table: what a graph may connect and set. References are `node.port` or `node.param` of the part's own nodes.
+/// The `[part]` table: what a graph may connect and set. References are `node.port` or `node.param` of the part's own
+/// nodes.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PartText {
     pub(crate) inputs: Vec<Export>,
@@ -121,7 +122,7 @@ pub(crate) struct InputText {
     pub(crate) supply: Supply,
 }
 
-/// Where the connections of an input come from.
+/// Origin of the connections of an input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Supply {
     /// A file gives them.

@@ -1,5 +1,6 @@
-//! Optional connections, views and pins: left out where an overlay replaced the node that they name and the new one does not have what they name.
-//! Optional connections are also left out where the type of a node at one of their ends lacks the port, as after a swap of its algorithm.
+//! Optional connections, views and pins: left out where an overlay replaced the node that they name and the new one
+//! does not have what they name. Optional connections are also left out where the type of a node at one of their ends
+//! lacks the port, as after a swap of its algorithm.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -17,7 +18,8 @@ struct Absent<'a> {
 }
 
 impl Absent<'_> {
-    /// Whether the node was replaced and none of the types that it may have has `name`. An unknown type is reported elsewhere.
+    /// Whether the node was replaced and none of the types that it may have has `name`. An unknown type is reported
+    /// elsewhere.
     fn lacks(&self, id: &str, has: impl Fn(&NodeType) -> bool) -> bool {
         if self.nodes.contains(id) {
             return true;
@@ -65,7 +67,8 @@ fn is_optional(input: &InputText) -> bool {
 }
 
 impl GraphText {
-    /// The graph with its optional connections, views and pins as far as they exist. A node that loses its only connections is left out too.
+    /// The graph with its optional connections, views and pins as far as they exist. A node that loses its only
+    /// connections is left out too.
     pub(crate) fn fitted(&self, catalog: &Catalog) -> Cow<'_, Self> {
         if self.flat.replaced.is_empty() && !self.flat.nodes.iter().flat_map(|node| &node.inputs).any(is_optional) {
             return Cow::Borrowed(self);

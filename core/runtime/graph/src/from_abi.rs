@@ -21,7 +21,7 @@ use crate::catalog::{NodeType, Port};
 use crate::packet::PacketType;
 use crate::param::{Param, ParamKind, ParamValue, Pick};
 
-/// Why a plugin's descriptor cannot be used.
+/// Errors of a plugin's descriptor.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum FromAbiError {
     /// The entry function returned a null pointer.
@@ -44,7 +44,7 @@ pub enum FromAbiError {
     /// `struct_size` is too small, so fields are missing.
     #[error("{place}: struct_size is {found}, it must be at least {needed} (sizeof the struct)")]
     StructSize {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// As stated.
         found: u32,
@@ -54,7 +54,7 @@ pub enum FromAbiError {
     /// A pointer is null or misaligned though its length is not 0.
     #[error("{place}: {field} is a {fault} pointer, its length is {len}")]
     Pointer {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
@@ -66,7 +66,7 @@ pub enum FromAbiError {
     /// A length that only damaged memory explains.
     #[error("{place}: {field} has {len} entries, more than the {limit} allowed")]
     TooLong {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
@@ -78,7 +78,7 @@ pub enum FromAbiError {
     /// A text that is not UTF-8.
     #[error("{place}: {field} is not UTF-8 text")]
     NotUtf8 {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
@@ -86,7 +86,7 @@ pub enum FromAbiError {
     /// A name that is not valid in graph files.
     #[error("{place}: `{name}` is no name: names are letters, digits and `_`, and begin with a letter")]
     Name {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// As stated.
         name: String,
@@ -94,7 +94,7 @@ pub enum FromAbiError {
     /// Two things of the same kind share a name.
     #[error("{place}: {what} `{name}` is declared twice")]
     Duplicate {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// `node type`, `input`, `output`, `parameter`, `choice`.
         what: &'static str,
@@ -104,7 +104,7 @@ pub enum FromAbiError {
     /// A number outside its list of constants, or unknown flag bits.
     #[error("{place}: {field} is {found:#x}, which this host does not know")]
     Unknown {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
@@ -114,7 +114,7 @@ pub enum FromAbiError {
     /// A function that every node type needs is null.
     #[error("{place}: the function `{function}` is missing")]
     NoFunction {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// `open`, `process` or `close`.
         function: &'static str,
@@ -122,9 +122,9 @@ pub enum FromAbiError {
     /// A declaration contradicts itself.
     #[error("{place}: {problem}")]
     Contradiction {
-        /// Where.
+        /// Location of the error.
         place: String,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
 }
@@ -146,8 +146,8 @@ const MAX_INT: f64 = 9_007_199_254_740_992.0;
 /// The first thing that is wrong with the descriptor.
 ///
 /// # Safety
-/// `plugin` is null or what a plugin's entry function returned: pointers in it that are neither null nor misaligned are valid
-/// for their stated length. Nothing of it is referred to by the result.
+/// `plugin` is null or what a plugin's entry function returned: pointers in it that are neither null nor misaligned are
+/// valid for their stated length. Nothing of it is referred to by the result.
 pub unsafe fn node_types(plugin: *const abi::Plugin) -> Result<Vec<NodeType>> {
     if plugin.is_null() {
         return Err(FromAbiError::NoDescriptor);

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-/// Edit distance with insertions, deletions, substitutions and swaps of neighbours (optimal string alignment), ignoring case.
+/// Edit distance with insertions, deletions, substitutions and swaps of neighbours (optimal string alignment), ignoring
+/// case.
 fn distance(a: &str, b: &str) -> usize {
     let a: Vec<char> = a.chars().flat_map(char::to_lowercase).collect();
     let b: Vec<char> = b.chars().flat_map(char::to_lowercase).collect();

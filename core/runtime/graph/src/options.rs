@@ -1,18 +1,18 @@
-//! How a graph file is opened.
+//! Options for opening a graph file.
 
 use crate::source::tidy;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What accompanies a graph file: overlays, values of its arguments, settings.
+/// Options of a graph file: overlays, values of its arguments, settings.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GraphOptions {
     /// Overlay files, applied in this order: each replaces nodes of the same name and defaults of arguments.
     #[serde(default)]
     pub with: Vec<PathBuf>,
-    /// Values of arguments by name, as the command line gives them; the last one of a name wins. Relative paths start from the working
-    /// folder. An empty value of a flag means true.
+    /// Values of arguments by name, as the command line gives them; the last one of a name wins. Relative paths start
+    /// from the working folder. An empty value of a flag means true.
     #[serde(default)]
     pub args: Vec<(String, String)>,
     /// `node.param=value`; these override the files.

@@ -41,7 +41,7 @@ pub struct InputOutline {
     pub port: String,
     /// Written as a list.
     pub is_list: bool,
-    /// What it is connected to.
+    /// Its connections.
     pub from: Vec<Reference>,
 }
 
@@ -52,7 +52,7 @@ pub struct Reference {
     pub node: String,
     /// Its output.
     pub port: String,
-    /// How it is matched with the other inputs.
+    /// Matching with the other inputs.
     pub align: Align,
     /// 1 for the value of the tick before.
     pub delay: u8,
@@ -88,7 +88,7 @@ pub struct PartOutline {
 pub struct PartPort {
     /// Its name.
     pub name: String,
-    /// What it stands for: nodes, or parts of the part, by whole names, with their ports.
+    /// Its targets: nodes, or parts of the part, by whole names, with their ports.
     pub targets: Vec<(String, String)>,
 }
 

@@ -17,7 +17,7 @@ pub struct PacketType {
     pub layout_hash: u64,
 }
 
-/// Why an output cannot be connected to an input.
+/// An output that cannot be connected to an input.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum PacketMismatch {
     /// Another packet type.
@@ -46,7 +46,7 @@ pub enum PacketMismatch {
     },
 }
 
-/// How an output fits an input.
+/// Fit of an output for an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Fit {
     Yes,
@@ -78,7 +78,7 @@ impl PacketType {
         }
     }
 
-    /// How an output of this type fits an input of type `input`.
+    /// Fit of an output of this type for an input of type `input`.
     pub(crate) fn fit(&self, input: &PacketType) -> Fit {
         if input.name == Self::ANY || self.name == Self::ANY {
             return Fit::Yes;

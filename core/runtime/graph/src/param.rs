@@ -21,13 +21,14 @@ pub struct Param {
     /// A change reopens the node instead of being applied between two ticks.
     #[serde(default)]
     pub reopen: bool,
-    /// How a user picks the value, besides typing it.
+    /// Way of picking the value, besides typing.
     #[serde(default, skip_serializing_if = "Pick::is_none")]
     pub pick: Pick,
     /// The node writes the file that the path names. The path may hold placeholders such as `{seq}`.
     #[serde(default, skip_serializing_if = "is_false")]
     pub writes: bool,
-    /// The default of the path is relative to [`NodeType::shipped_dir`](crate::NodeType::shipped_dir) and not to the graph file.
+    /// The default of the path is relative to [`NodeType::shipped_dir`](crate::NodeType::shipped_dir) and not to the
+    /// graph file.
     #[serde(default, skip_serializing_if = "is_false")]
     pub shipped: bool,
 }
@@ -36,7 +37,7 @@ fn is_false(flag: &bool) -> bool {
     !flag
 }
 
-/// How a user picks a value, besides typing it.
+/// Way of picking a value, besides typing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Pick {
@@ -188,7 +189,7 @@ pub enum ParamValue {
     Floats(Vec<f64>),
 }
 
-/// Why a parameter cannot take a value.
+/// A value that a parameter refuses.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ValueError {
     /// The value has another type.
@@ -225,7 +226,7 @@ pub enum ValueError {
     OffStep {
         /// Distance between allowed values.
         step: i64,
-        /// Where steps are counted from.
+        /// Origin of the steps.
         base: i64,
     },
     /// The word is not in the list.

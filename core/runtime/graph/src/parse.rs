@@ -7,7 +7,7 @@ use crate::value::{Table, Value, from_toml, table_from_toml};
 use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
-/// What could be parsed of a file.
+/// Parsed parts of a file.
 pub(crate) struct Parsed {
     pub(crate) root: Table,
     pub(crate) diagnostics: Diagnostics,
@@ -18,7 +18,8 @@ pub(crate) struct Parsed {
 /// Largest number of broken lines that are skipped before the rest of the file is ignored.
 const ROUNDS: usize = 50;
 
-/// Bytes parsed over all rounds: a long file that is broken everywhere is not a graph, and parsing it must not take long.
+/// Bytes parsed over all rounds: a long file that is broken everywhere is not a graph, and parsing it must not take
+/// long.
 const MAX_BYTES: usize = 5_000_000;
 
 pub(crate) fn parse(source: &Source) -> Parsed {

@@ -1,5 +1,5 @@
-//! Parts and overlays: nodes that are graph files are replaced by the nodes of those files before names are looked up, so that a part costs
-//! nothing at run time.
+//! Parts and overlays: nodes that are graph files are replaced by the nodes of those files before names are looked up,
+//! so that a part costs nothing at run time.
 
 use crate::args::refuse_in_part;
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
@@ -23,7 +23,7 @@ const MAX_TEXT_BYTES: usize = 64 << 20;
 /// Maximum number of inputs and parameters that parts hand on to their nodes: names of names multiply.
 const MAX_FORWARDED: usize = 50_000;
 
-/// What a name of a part stands for in the flattened graph.
+/// Target of a name of a part in the flattened graph.
 #[derive(Clone, Debug)]
 pub(crate) struct Target {
     pub(crate) node: String,

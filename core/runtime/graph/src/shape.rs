@@ -50,7 +50,7 @@ struct Reader<'s> {
     file: FileText,
     /// Diagnostics of missing arguments, which are reported elsewhere.
     unheard: Option<Diagnostic>,
-    /// Where each node's name stands first.
+    /// First position of each node's name.
     ids: HashMap<String, Range<usize>>,
 }
 

@@ -23,7 +23,8 @@ impl GraphFile<'_> {
     }
 }
 
-/// A graph file as read, with its parts and overlays: ready to be asked for its plugins, then to be checked against a catalog.
+/// A graph file as read, with its parts and overlays: ready to be asked for its plugins, then to be checked against a
+/// catalog.
 #[derive(Clone, Debug)]
 pub struct GraphText {
     pub(crate) sources: Sources,
@@ -48,7 +49,7 @@ pub struct GraphText {
     /// Arguments without a value, each with the diagnostic for a graph that is to run.
     missing_args: Vec<(String, Diagnostic)>,
     allow_missing_args: bool,
-    /// Where arguments are used; no two uses begin at one byte.
+    /// Positions at which arguments are used; no two begin at the same byte.
     pub(crate) arg_uses: HashMap<usize, ArgUse>,
     /// Positions of the overlays among the sources.
     pub(crate) overlays: Vec<usize>,

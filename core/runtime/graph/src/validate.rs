@@ -21,7 +21,7 @@ pub struct NodeSetup<'a> {
     pub graph_dir: &'a Path,
     /// Whether the graph runs in `batch` mode.
     pub batch: bool,
-    /// How it is wired; `None` when that is not known.
+    /// Its wiring; `None` if unknown.
     pub wiring: Option<&'a Wiring>,
 }
 

@@ -8,7 +8,7 @@ use toml::value::Datetime;
 /// Something read from the text, with its span.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spanned<T> {
-    /// What was read.
+    /// The read content.
     pub value: T,
     /// Bytes of the text.
     pub span: Range<usize>,

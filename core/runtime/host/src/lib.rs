@@ -1,4 +1,4 @@
-//! What a program needs around the engine to run graphs of plugins.
+//! Services around the engine for a program that runs graphs of plugins.
 //!
 //! - [`loader`]: finds, verifies and maps plugins; opens graph files; locks and signatures.
 //! - [`isolate`]: runs nodes in separate processes, also on other machines.

@@ -1,5 +1,4 @@
-//! How the bytes of a packet are stored: uncompressed, compressed, or as a reference to equal bytes earlier in the
-//! file.
+//! Storage of the bytes of a packet: uncompressed, compressed, or as a reference to equal bytes earlier in the file.
 //!
 //! Compression is designed for images and maps: numbers of 1, 2 or 4 bytes become differences to the number one pixel
 //! before, which are small where neighbours are alike; then come the lowest bytes of all differences, the second

@@ -33,7 +33,8 @@ pub struct PortDifference {
 /// Amount of differences of images, tables, clouds or bytes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Amount {
-    /// Largest absolute difference of two values; for clouds the largest distance of two points in mm. Unknown packet types are compared by bytes.
+    /// Largest absolute difference of two values; for clouds the largest distance of two points in mm. Unknown packet
+    /// types are compared by bytes.
     pub largest: f64,
     /// Mean absolute difference over all values of the differing packets.
     pub mean: f64,
@@ -130,8 +131,8 @@ pub fn compare(a: &Digests, b: &Digests) -> Vec<PortDifference> {
     ports.into_iter().map(one).collect()
 }
 
-/// Compares two recordings. Where both contain a port's packets, the result also says by how much they differ. Numbers of tables count as
-/// equal up to `tolerance` times the larger one (at least 1), points of clouds up to `tolerance` mm.
+/// Compares two recordings. Where both contain a port's packets, the result also says by how much they differ. Numbers
+/// of tables count as equal up to `tolerance` times the larger one (at least 1), points of clouds up to `tolerance` mm.
 ///
 /// # Errors
 /// One of them is damaged.

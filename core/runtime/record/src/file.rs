@@ -164,7 +164,8 @@ impl RecordFile {
         self.mcap.finish()
     }
 
-    /// Ends the file after an error: removes an incomplete message. Returns the length of the file and the number of source ticks in it.
+    /// Ends the file after an error: removes an incomplete message. Returns the length of the file and the number of
+    /// source ticks in it.
     pub fn give_up(self) -> (u64, u64) {
         let mut output = self.mcap.into_output();
         let len = match output.seek(SeekFrom::End(0)) {
@@ -183,7 +184,8 @@ fn unix_ns() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
-/// Hides the secrets of addresses in all texts of an event: those of the graph, of its settings and of messages. A replay opens no source.
+/// Hides the secrets of addresses in all texts of an event: those of the graph, of its settings and of messages. A
+/// replay opens no source.
 fn without_secrets(value: &mut serde_json::Value) {
     match value {
         serde_json::Value::String(text) => {

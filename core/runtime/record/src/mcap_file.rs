@@ -16,7 +16,8 @@ use crate::check::head_bytes;
 
 /// Length of the records at which a chunk is full.
 const CHUNK_BYTES: u64 = 4 << 20;
-/// Bytes of the head of an uncompressed chunk, without those of the record: times, size, checksum, compression, length of the records.
+/// Bytes of the head of an uncompressed chunk, without those of the record: times, size, checksum, compression, length
+/// of the records.
 pub(crate) const CHUNK_HEAD_BYTES: usize = 40;
 /// Bytes of a record before its content: kind and length.
 const RECORD_HEAD_BYTES: usize = 9;

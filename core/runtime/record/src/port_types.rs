@@ -1,4 +1,5 @@
-//! Which packet type each recorded port has. Packets store their format, not their type: the plugins of the recorded graph name it.
+//! Which packet type each recorded port has. Packets store their format, not their type: the plugins of the recorded
+//! graph name it.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -52,7 +53,7 @@ pub struct PortTypes {
 }
 
 impl PortTypes {
-    /// The types by the plugins that `loader` finds.
+    /// The types by the plugins of `loader`.
     pub fn new(recording: Arc<Recording>, loader: Loader) -> Self {
         let catalogs = graphs(&recording).map(|_| OnceLock::new()).collect();
         Self { recording, loader, catalogs }

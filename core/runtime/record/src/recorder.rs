@@ -38,7 +38,8 @@ pub struct RecordOptions {
     pub digests: bool,
     /// Whether to record all ports of all nodes, not only those of sources.
     pub all_ports: bool,
-    /// Whether sources make all their outputs, also those without a reader, so that other graphs can be replayed on the recording.
+    /// Whether sources make all their outputs, also those without a reader, so that other graphs can be replayed on the
+    /// recording.
     pub all_source_ports: bool,
     /// Whether nodes make all their outputs, also those without a reader, because the run that is replayed did.
     pub all_outputs: bool,
@@ -439,7 +440,7 @@ impl Inner {
         self.options.compresses && lock(&self.queue).bytes <= SHORT_QUEUE_BYTES.min(self.options.max_queued_bytes / 8)
     }
 
-    /// Ends the recording after an error of the disk; the run goes on without it.
+    /// Ends the recording after an error of the disk; the run continues without it.
     fn give_up(&self, file: &mut Option<RecordFile>, cause: &std::io::Error, recorded: &mut Recorded) {
         let Some(file) = file.take() else { return };
         let is_news = self.writes.swap(false, Ordering::Relaxed);

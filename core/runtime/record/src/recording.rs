@@ -95,7 +95,7 @@ pub enum RecordingError {
         port: String,
         /// The tick.
         seq: u64,
-        /// What is wrong.
+        /// Description of the problem.
         reason: String,
     },
 }
@@ -205,8 +205,8 @@ impl Recording {
     /// Opens and scans a recording.
     ///
     /// # Errors
-    /// The file is not a recording, or no part of it can be used. A truncated or damaged recording can be used up to that point, see
-    /// [`Self::cut`].
+    /// The file is not a recording, or no part of it can be used. A truncated or damaged recording can be used up to
+    /// that point, see [`Self::cut`].
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let unreadable = |cause| RecordingError::Unreadable { file: path.to_owned(), cause };
         let file = File::open(path).map_err(unreadable)?;

@@ -15,7 +15,7 @@ use panoscope_engine::decide::Decider;
 use panoscope_engine::{Engine, Options, StartError};
 use panoscope_host::loader::{self as loader, Loader};
 
-/// How a recording is replayed.
+/// Options of a replay.
 #[derive(Default)]
 pub struct ReplayOptions {
     /// Path and text of another graph; `None` for the recorded one.
@@ -24,7 +24,7 @@ pub struct ReplayOptions {
     pub settings: Vec<String>,
     /// Whether nodes with side effects, which write files or move an arm, run; otherwise they are skipped.
     pub act: bool,
-    /// How to record the replay itself; `None` to not record it.
+    /// Options for recording the replay itself; `None`: not recorded.
     pub record: Option<RecordOptions>,
     /// The loader of plugins; `None` to search for them.
     pub loader: Option<Arc<Loader>>,
@@ -69,7 +69,7 @@ pub enum ReplayError {
     Stale {
         /// Number of the change, from 1.
         number: usize,
-        /// What does not fit.
+        /// Description of the difference.
         cause: StaleError,
     },
     /// A recorded change could not be applied.
@@ -77,7 +77,7 @@ pub enum ReplayError {
     Edit {
         /// Number of the change, from 1.
         number: usize,
-        /// Why it could not be applied.
+        /// Reason for which it was not applied.
         cause: ApplyError,
     },
     /// A part of the recording could not be replayed.
@@ -239,7 +239,8 @@ impl Replay {
     }
 }
 
-/// Maps each source of the graph to a recorded source; for the recording's own graph also sources that were added later.
+/// Maps each source of the graph to a recorded source; for the recording's own graph also sources that were added
+/// later.
 fn sources(
     graph: &Graph,
     catalog: &Catalog,

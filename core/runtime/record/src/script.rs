@@ -1,7 +1,8 @@
-//! The decisions that a replay repeats: which ticks enter, which packets meet, with which values and instances nodes run.
+//! The decisions that a replay repeats: which ticks enter, which packets meet, with which values and instances nodes
+//! run.
 //!
-//! The recording contains every decision of the run that depended on time. The script looks them up instead of deciding again.
-//! Everything else depends on the ticks only.
+//! The recording contains every decision of the run that depended on time. The script looks them up instead of deciding
+//! again. Everything else depends on the ticks only.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -85,7 +86,8 @@ pub struct Script {
 }
 
 impl Script {
-    /// The script of a recording: for its own graph, or for another one whose sources are called `names` in the recording.
+    /// The script of a recording: for its own graph, or for another one whose sources are called `names` in the
+    /// recording.
     pub(crate) fn new(
         recording: Arc<Recording>,
         names: &BTreeMap<String, String>,

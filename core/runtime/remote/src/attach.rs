@@ -1,4 +1,5 @@
-//! Connects a window to a running graph of another machine. Its parent is the window and gives it a socket as standard input.
+//! Connects a window to a running graph of another machine. Its parent is the window and gives it a socket as standard
+//! input.
 
 use std::io::BufReader;
 use std::os::unix::net::UnixStream;

@@ -1,4 +1,5 @@
-//! Listens for windows of other machines on a running graph. Its parent runs the graph and gives it a socket as standard input.
+//! Listens for windows of other machines on a running graph. Its parent runs the graph and gives it a socket as
+//! standard input.
 
 use std::collections::HashMap;
 use std::io::{self, BufReader};

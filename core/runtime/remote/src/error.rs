@@ -24,7 +24,7 @@ pub enum RemoteError {
     NotANumber {
         /// The argument.
         text: String,
-        /// What is wrong with it.
+        /// Description of the problem.
         cause: ParseIntError,
     },
     /// A path that cannot be made absolute.
@@ -53,7 +53,7 @@ pub enum RemoteError {
     /// Keys that cannot be read; `remedy` says how to make some.
     #[error("{cause}; {remedy}")]
     UnreadableKeys {
-        /// What is wrong with the keys.
+        /// Description of the problem.
         cause: KeysError,
         /// What to do.
         remedy: &'static str,
@@ -64,11 +64,11 @@ pub enum RemoteError {
     /// Nothing listens at the address.
     #[error("nothing answers at {address} within {} s: {cause}; is `{command}` running there?", timeout.as_secs_f64())]
     NoAnswer {
-        /// Where the machine should listen.
+        /// Address on which the machine should listen.
         address: String,
         /// Time in which it counts as lost.
         timeout: Duration,
-        /// Why the last attempt failed.
+        /// Error of the last attempt.
         cause: String,
         /// The command that listens there.
         command: &'static str,
@@ -79,7 +79,7 @@ pub enum RemoteError {
         if *is_tls { "; both need certificates of one authority, and that of the machine must name this address" } else { "" }
     )]
     Refused {
-        /// Where the machine listens.
+        /// Address of the machine.
         address: String,
         /// The network's error.
         cause: NetworkError,
@@ -136,7 +136,7 @@ pub enum RemoteError {
         sha256: String,
         /// This machine.
         machine: String,
-        /// Where plugins are searched here.
+        /// Folders of plugins on this machine.
         folders: String,
     },
     /// A plugin that cannot be read.
@@ -172,13 +172,13 @@ pub enum RemoteError {
     Files {
         /// The node.
         node: String,
-        /// What differs.
+        /// Description of the difference.
         cause: Box<FileError>,
     },
     /// The process that runs the nodes has ended.
     #[error("{reason}")]
     ProcessEnded {
-        /// Why, as the host reports it.
+        /// Reason reported by the host.
         reason: String,
     },
     /// The process that runs the nodes sent a malformed message.
@@ -187,13 +187,13 @@ pub enum RemoteError {
     /// A malformed message of the host.
     #[error("the host sent a malformed message: {cause}")]
     BadHost {
-        /// What is wrong with it.
+        /// Description of the problem.
         cause: Box<RemoteError>,
     },
     /// A lane of this host that has to end.
     #[error("its link cannot go on: {cause}")]
     Lane {
-        /// Why.
+        /// Reason.
         cause: Box<RemoteError>,
     },
     /// A malformed message of the other machine.

@@ -79,7 +79,7 @@ pub enum FileError {
         sha256: String,
         /// Name of this machine.
         machine: String,
-        /// Where it should be here.
+        /// Its expected path on this machine.
         here: PathBuf,
     },
 }

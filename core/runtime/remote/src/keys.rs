@@ -113,7 +113,8 @@ impl Identity {
         Ok(Self { name, authority: file(AUTHORITY)?, certificate: file(CERTIFICATE)?, key: file(KEY)? })
     }
 
-    /// The folder with the keys of this machine: `PANOSCOPE_KEYS`, else `panoscope/machine` in the user's configuration folder.
+    /// The folder with the keys of this machine: `PANOSCOPE_KEYS`, else `panoscope/machine` in the user's configuration
+    /// folder.
     pub fn folder() -> Option<PathBuf> {
         let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let given = std::env::var_os(KEYS_VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from);

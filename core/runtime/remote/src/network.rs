@@ -72,8 +72,8 @@ fn is_loopback(host: &str) -> bool {
     }
 }
 
-/// Lets one thread do all of zenoh's work: it reads and writes a TLS connection from two threads at once, which rustls does not allow and which
-/// damages memory (zenoh's issue 2557).
+/// Lets one thread do all of zenoh's work: it reads and writes a TLS connection from two threads at once, which rustls
+/// does not allow and which damages memory (zenoh's issue 2557).
 ///
 /// # Safety
 /// The process has no other thread yet, and has not used zenoh.

@@ -20,7 +20,7 @@ use crate::network;
 pub struct Options {
     /// Name of this machine in graphs.
     pub name: String,
-    /// Where to listen.
+    /// Address to listen on.
     pub address: String,
     /// Whether an address without encryption may be reachable from other machines.
     pub plaintext: bool,

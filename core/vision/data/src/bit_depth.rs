@@ -9,7 +9,8 @@ pub fn white_of_bits(bits: u32) -> f32 {
     ((1u32 << bits.clamp(1, 16)) - 1) as f32
 }
 
-/// The smallest white of a usual bit depth that holds an image with this largest value; 1.0 for floats up to 1.0. `None` when no depth holds it.
+/// The smallest white of a usual bit depth that holds an image with this largest value; 1.0 for floats up to 1.0.
+/// `None` when no depth holds it.
 pub fn white_for(peak: f32, is_float: bool) -> Option<f32> {
     if is_float && peak <= 1.0 {
         return Some(1.0);

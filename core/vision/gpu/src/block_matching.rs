@@ -211,7 +211,8 @@ impl GpuBlockMatcher {
     /// Matches the pixels of `roi` of a rectified gray pair; see [`BlockMatcher::compute`], whose maps it fills.
     ///
     /// # Errors
-    /// [`GpuError::Input`] for a parameter out of range and for images and maps of different sizes; errors of the device.
+    /// [`GpuError::Input`] for a parameter out of range and for images and maps of different sizes; errors of the
+    /// device.
     ///
     /// [`BlockMatcher::compute`]: panoscope_imaging::stereo::BlockMatcher::compute
     pub fn compute(

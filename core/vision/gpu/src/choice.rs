@@ -40,7 +40,7 @@ impl Device {
     }
 }
 
-/// The warning of a node that goes on without the GPU.
+/// The warning of a node that continues without the GPU.
 pub fn given_up(reason: &dyn std::fmt::Display) -> String {
     format!("the processor computes the pictures: {reason}")
 }

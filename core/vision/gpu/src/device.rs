@@ -26,7 +26,7 @@ pub enum GpuError {
         /// Message of the driver.
         reason: String,
     },
-    /// A picture does not fit into a buffer of the device.
+    /// An image does not fit into a buffer of the device.
     #[error(
         "{name} takes buffers of at most {limit_bytes} bytes, this picture needs {bytes}: use smaller pictures, or the processor"
     )]
@@ -49,7 +49,7 @@ pub enum GpuError {
     /// Images and maps do not fit together.
     #[error("{what}")]
     Input {
-        /// What does not fit.
+        /// Description of the mismatch.
         what: String,
     },
 }

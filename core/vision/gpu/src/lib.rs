@@ -1,7 +1,7 @@
 //! Image work on a GPU through Vulkan: the same results as the functions of `panoscope-imaging`, up to rounding.
 //!
 //! [`Gpu::shared`] finds the device, once in a process. Each kernel keeps its memory on the device and uses images in
-//! the host's memory: a frame costs a copy there and a copy back, which pays for pictures of 1920x1080 and more. No GPU
+//! the host's memory: a frame costs a copy there and a copy back, which pays for images of 1920x1080 and more. No GPU
 //! is required: users of a kernel fall back to the function of `panoscope-imaging` if there is no GPU or it fails.
 
 mod block_matching;

@@ -9,7 +9,7 @@ use wgpu::{Buffer, BufferDescriptor, BufferUsages, BufferViewMut, CommandEncoder
 
 use crate::device::{Gpu, GpuError};
 
-/// Bytes of a row of a BGR picture on the device: whole groups of four pixels, three words each.
+/// Bytes of a row of a BGR image on the device: whole groups of four pixels, three words each.
 pub fn row_bytes(width: usize) -> usize {
     width.div_ceil(4) * 12
 }
@@ -135,7 +135,7 @@ impl Filling<'_> {
         Ok(())
     }
 
-    /// Writes the rows of a picture.
+    /// Writes the rows of an image.
     pub fn write_rows(&self, start: usize, upload: &Upload<'_>, pool: &dyn Parallel) -> Result<(), GpuError> {
         let (stride, height) = (upload.stride(), upload.part.height);
         let mut bands = Vec::with_capacity(height.div_ceil(ROWS));
@@ -185,7 +185,7 @@ impl<'v> Upload<'v> {
     }
 }
 
-/// Calls `row` with each row of a picture and its number, on several threads.
+/// Calls `row` with each row of an image and its number, on several threads.
 pub fn each_row<T: Send>(out: &mut ViewMut<'_, T>, pool: &dyn Parallel, row: impl Fn(usize, &mut [T]) + Sync) {
     let (stride, width, height) = (out.stride, out.width * out.channels, out.height);
     let bands: Vec<_> = out.data.chunks_mut((stride * ROWS).max(1)).map(Mutex::new).collect();
@@ -197,7 +197,7 @@ pub fn each_row<T: Send>(out: &mut ViewMut<'_, T>, pool: &dyn Parallel, row: imp
     });
 }
 
-/// Writes the rows of a picture of the device, which is as wide as `columns`, into those columns of a BGR picture.
+/// Writes the rows of an image of the device, which is as wide as `columns`, into those columns of a BGR image.
 pub fn unpack(rows: &[u8], columns: Range<usize>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) {
     let (bytes, per_row) = (columns.len() * 3, row_bytes(columns.len()));
     each_row(out, pool, |y, row| {

@@ -45,7 +45,8 @@ fn integers<const N: usize>(values: [i64; N]) -> [[u8; 4]; N] {
     values.map(|value| (value as i32).to_le_bytes())
 }
 
-/// Columns of the canvas that the device draws: those with the second view, and those in which the first one is not merely shifted. Whole groups of four.
+/// Columns of the canvas that the device draws: those with the second view, and those in which the first one is not
+/// merely shifted. Whole groups of four.
 fn drawn_columns(views: &[DrawnView<'_>], runs: &Runs, (width, height): (usize, usize)) -> Range<usize> {
     if views[0].shift.is_none() {
         return 0..width;
@@ -151,7 +152,7 @@ impl Warper {
     /// Draws a panorama; see [`Painter::paint`].
     ///
     /// # Errors
-    /// When a picture does not fit into the device or the device fails.
+    /// When an image does not fit into the device or the device fails.
     pub fn draw(
         &mut self,
         drawing: &Drawing<'_>,

@@ -16,8 +16,8 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of
-    /// the source pixels under each pixel when it shrinks, between the nearest ones when a picture in colour grows in
+    /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR image: the mean of
+    /// the source pixels under each pixel when it shrinks, between the nearest ones when an image in colour grows in
     /// both directions. Parts outside `out` are clipped.
     pub fn place(
         &mut self,
@@ -185,7 +185,8 @@ unsafe fn pairs_avx2(row: &[u8], columns: &Columns, target: &mut [u8]) -> usize 
     done
 }
 
-/// The mean of all pixels under each column, from the sums of `rows` rows, which have [`PADDING`] values behind the last pixel.
+/// The mean of all pixels under each column, from the sums of `rows` rows, which have [`PADDING`] values behind the
+/// last pixel.
 fn means(simd: Simd, sums: &[u16], columns: &Columns, target: &mut [u8], rows: usize) {
     // Reciprocals of the usual counts of pixels.
     let shares = [1, 2, 3].map(|columns| share(rows * columns));
@@ -215,7 +216,8 @@ fn means(simd: Simd, sums: &[u16], columns: &Columns, target: &mut [u8], rows: u
 /// The first pixels of [`means`], four at a time; returns how many.
 ///
 /// # Safety
-/// The processor has AVX2. At most three pixels lie under a column, their sums have 16 bits, and from the first one of each column on `sums` has ten values.
+/// The processor has AVX2. At most three pixels lie under a column, their sums have 16 bits, and from the first one of
+/// each column on `sums` has ten values.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn means_avx2(sums: &[u16], columns: &Columns, target: &mut [u8], shares: [u32; 3]) -> usize {

@@ -7,7 +7,7 @@ const ONE: u32 = 128;
 const HALVES: u32 = 0x0040_0040;
 const EVEN: u32 = 0x00ff_00ff;
 
-/// Enlarges pictures of three bytes per pixel; reuses its buffers.
+/// Enlarges images of three bytes per pixel; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Grow {
     columns: Columns,

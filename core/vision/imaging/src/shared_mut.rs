@@ -23,7 +23,8 @@ impl<'a, T> SharedMut<'a, T> {
         Self { base: slice.as_mut_ptr(), len: slice.len(), lifetime: std::marker::PhantomData }
     }
 
-    /// Address of element `index`, for kernels that advance a pointer. They may touch only elements that no other chunk touches.
+    /// Address of element `index`, for kernels that advance a pointer. They may touch only elements that no other chunk
+    /// touches.
     pub(crate) fn address(&self, index: usize) -> *mut T {
         self.base.wrapping_add(index)
     }

@@ -4,7 +4,8 @@ use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Elements that nodes use by name, with Debian's package of each; the packages that everything with video needs come first.
+/// Elements that nodes use by name, with Debian's package of each; the packages that everything with video needs come
+/// first.
 pub const ELEMENTS: &[(&str, &str, &[&str])] = &[
     (
         "gstreamer1.0-plugins-base",

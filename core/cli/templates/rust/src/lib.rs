@@ -7,14 +7,14 @@ use panoscope_node::*;
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture to brighten.
+    /// Image to brighten.
     image: Image<'f, Bgr8>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The brighter picture.
+    /// The brighter image.
     image: Slot<'f, Bgr8>,
 }
 
@@ -26,7 +26,7 @@ pub struct Params {
     gain: f32,
 }
 
-/// Makes a picture brighter.
+/// Makes an image brighter.
 pub struct Brighten;
 
 impl Node for Brighten {

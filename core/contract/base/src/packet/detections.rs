@@ -87,7 +87,8 @@ impl<'b> Detections<'b> {
         (self.header.image_width as usize, self.header.image_height as usize)
     }
 
-    /// Bit mask of box `index`: whole image, rows padded to whole bytes, most significant bit first; empty without masks.
+    /// Bit mask of box `index`: whole image, rows padded to whole bytes, most significant bit first; empty without
+    /// masks.
     pub fn mask(&self, index: usize) -> &'b [u8] {
         let len = Self::mask_len_of(&self.header);
         let start = index.checked_mul(len);

@@ -11,7 +11,7 @@ use super::host::{CallState, bare_call};
 use super::outputs::copy_rows;
 use super::{Harness, available, memory};
 
-/// What an input port holds for the next call.
+/// Content of an input port for the next call.
 pub(super) enum Pending {
     /// Nothing was given.
     Unconnected,
@@ -56,8 +56,8 @@ where
 }
 
 impl<N> Harness<N> {
-    /// Gives an input an image (or mask, disparity map, ...) of `width` x `height` pixels. On a list input every call adds an entry.
-    /// The next [`Harness::process`] reports a mistake.
+    /// Gives an input an image (or mask, disparity map, ...) of `width` x `height` pixels. On a list input every call
+    /// adds an entry. The next [`Harness::process`] reports a mistake.
     pub fn input_image<P: Plane>(&mut self, name: &str, width: usize, height: usize, data: &[P::Element]) -> &mut Self {
         self.input_image_with_stride::<P>(name, width, height, width * P::CHANNELS, data)
     }

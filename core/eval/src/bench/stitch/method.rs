@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::bench::CAMERA_HZ;
 use crate::inputs::pairs::Pairs;
 
-/// Pictures that are rendered and played in a loop.
+/// Images that are rendered and played in a loop.
 pub const PICTURES: u64 = 16;
 
 /// Frames in which the timed composite finds a seam.
@@ -52,7 +52,8 @@ impl Method {
         }
     }
 
-    /// Nodes `match` (grid only), `register` and `wide`, scaled as the thesis does: a whole frame shrunk to about 320x240.
+    /// Nodes `match` (grid only), `register` and `wide`, scaled as the thesis does: a whole frame shrunk to about
+    /// 320x240.
     pub fn nodes(self, width: u32, threads: usize, seam: Seam) -> String {
         let (scale, scale_of_seam) = ((width / 320).clamp(1, 8), (width / 64).clamp(2, 64));
         let views = "left = \"files.left\", right = \"files.right\"";

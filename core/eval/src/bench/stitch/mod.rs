@@ -8,15 +8,18 @@
 //! `seam` is its mean per frame, `seam_found` the time of a frame that finds one, `every_frame` the whole with one in
 //! each frame, as the peer has it.
 //!
-//! The peer is OpenCV through the nodes of the plugin `opencv`, not a program of its own: they call the same functions, and the copies
-//! in and out of frames that they add are small beside what those take. `plugins/opencv/tests/reference.cpp` does the same work without
-//! us; a test holds the nodes against it. The options are the fastest that do the job:
-//! - SIFT. Debian's OpenCV has no SURF. ORB takes a tenth of the time, but registers at most half of the frames of the phantom's liver,
-//!   AKAZE none. Brute force in one direction with the ratio test: matched in both directions it takes twice as long and keeps the same inliers.
-//! - The graph cut on differences of colour, as OpenCV's own stitcher takes it. Over gradients, the default of the bare class, it takes
-//!   two to three times as long.
-//! - Features at 0.6 megapixel, gains and seam at 0.1, as OpenCV's own stitcher has it; and, as the thesis has it, all at full size.
-//! - Its fastest seam that looks at the picture is the shortest path (`DpSeamFinder`): measured as a third peer.
+//! The peer is OpenCV through the nodes of the plugin `opencv`, not a program of its own: they call the same functions,
+//! and the copies in and out of frames that they add are small beside what those take.
+//! `plugins/opencv/tests/reference.cpp` does the same work without us; a test holds the nodes against it. The options
+//! are the fastest that do the job:
+//! - SIFT. Debian's OpenCV has no SURF. ORB takes a tenth of the time, but registers at most half of the frames of the
+//!   phantom's liver, AKAZE none. Brute force in one direction with the ratio test: matched in both directions it takes
+//!   twice as long and keeps the same inliers.
+//! - The graph cut on differences of colour, as OpenCV's own stitcher takes it. Over gradients, the default of the bare
+//!   class, it takes two to three times as long.
+//! - Features at 0.6 megapixel, gains and seam at 0.1, as OpenCV's own stitcher has it; and, as the thesis has it, all
+//!   at full size.
+//! - Its fastest seam that looks at the image is the shortest path (`DpSeamFinder`): measured as a third peer.
 
 mod curves;
 mod method;
@@ -42,7 +45,7 @@ use times::{Stages, Times};
 pub struct Options {
     /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
-    /// Sizes of the pictures, of [`SIZE_NAMES`]; if empty, the default ones.
+    /// Sizes of the images, of [`SIZE_NAMES`]; if empty, the default ones.
     pub sizes: Vec<String>,
     /// PNG file for the time of each frame at 640x480: registration, seam and the whole.
     pub plot: Option<PathBuf>,
@@ -50,7 +53,7 @@ pub struct Options {
 
 /// Text in the thesis's column of GPU times, which are not measured.
 const NO_GPU: &str = "no GPU here";
-/// Names of the sizes of pictures.
+/// Names of the sizes of images.
 pub const SIZE_NAMES: [&str; 3] = ["640x480", "1280x720", "1920x1080"];
 const SIZES: [(u32, u32); 3] = [(640, 480), (1280, 720), (1920, 1080)];
 const FULL: &str = "OpenCV SIFT + full graph cut";
@@ -115,7 +118,8 @@ fn quality(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is not counted.
+/// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is
+/// not counted.
 fn allocations(session: &dyn Session, method: Method, quick: bool) -> Result<Option<f64>> {
     let text = on_the_phantom(method, "") + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
     Ok(run(session, &text, if quick { 80 } else { 200 }, 2, Pace::Free)?.allocations_per_frame)

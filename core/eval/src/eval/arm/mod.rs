@@ -18,7 +18,7 @@ use crate::figures::Figure;
 use crate::session::{Session, check_cancelled, note};
 use crate::statistics::percentile;
 
-/// AutoCam on the dVRK (arXiv 2505.10398): error of the tool in the picture, and share of time in view.
+/// AutoCam on the dVRK (arXiv 2505.10398): error of the tool in the image, and share of time in view.
 const PEER: &str = "AutoCam on dVRK, published";
 const PEER_ERROR_MM: f64 = 1.95;
 const PEER_VIEW_PCT: f64 = 99.84;
@@ -32,7 +32,7 @@ pub struct Options {
     pub scenarios: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
-    /// Width of the phantom's pictures in the graph's runs, px.
+    /// Width of the phantom's images in the graph's runs, px.
     pub width: u32,
     /// Inputs of the campaign against the limits.
     pub hostile_inputs: u64,

@@ -23,7 +23,7 @@ pub struct Preset {
     pub text: String,
     /// Its file.
     pub path: PathBuf,
-    /// Size of the phantom's pictures, px.
+    /// Size of the phantom's images, px.
     pub size: (u32, u32),
 }
 
@@ -46,7 +46,8 @@ fn is_type(node: &Value, wanted: &str) -> bool {
 /// Makes a preset of the text of its file.
 ///
 /// # Errors
-/// The text is not a graph, or does not have exactly one each of `phantom`, `arm_sim`, `tip_track` and a tip that follows the phantom's ground truth.
+/// The text is not a graph, or does not have exactly one each of `phantom`, `arm_sim`, `tip_track` and a tip that
+/// follows the phantom's ground truth.
 pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
     let mut graph: Table = text.parse().with_context(|| format!("{} is not TOML", path.display()))?;
     graph.remove("preset");

@@ -36,7 +36,7 @@ impl Node {
     }
 }
 
-/// Detections of all pictures and the time that they took.
+/// Detections of all images and the time that they took.
 pub struct Detections {
     /// Per image; class numbers are those of the ground truth.
     pub finds: Vec<Vec<Find>>,
@@ -61,7 +61,7 @@ fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
     params.join(", ")
 }
 
-/// Runs `model` in `node` over the pictures of `truth`. With `settings` (`param = value`) the node's parameters change.
+/// Runs `model` in `node` over the images of `truth`. With `settings` (`param = value`) the node's parameters change.
 pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, settings: &[String]) -> Result<Detections> {
     let scratch = Folder::new("panoscope-eval")?;
     let out = scratch.path().join("found.json");

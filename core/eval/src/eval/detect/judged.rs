@@ -11,7 +11,7 @@ pub struct JudgeInputs {
     pub case: String,
     pub node: Node,
     pub truth: Truth,
-    /// Picture by picture.
+    /// Image by image.
     pub finds: Vec<Vec<Find>>,
     pub boxes: Scores,
     /// Bounds of the boxes' AP at 0.5, for frames of the data set of the folds.

@@ -54,7 +54,7 @@ pub struct Options {
     pub truth: Option<PathBuf>,
     /// Split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
     pub split: Option<String>,
-    /// Folder of the pictures of --truth, if they are not next to it.
+    /// Folder of the images of --truth, if they are not next to it.
     pub images: Option<PathBuf>,
     /// Folders of data sets, searched before the default ones.
     pub data: Vec<PathBuf>,
@@ -64,7 +64,7 @@ pub struct Options {
     pub selfcheck: Option<SelfCheck>,
     /// Python of --selfcheck.
     pub python: PathBuf,
-    /// Folder for pictures: curves, confusions, contact sheets of the worst misses.
+    /// Folder for images: curves, confusions, contact sheets of the worst misses.
     pub pictures: Option<PathBuf>,
 }
 

@@ -1,4 +1,4 @@
-//! Held-out scenes of the phantom: their pictures with exact outlines, and the distance of found tips from the true
+//! Held-out scenes of the phantom: their images with exact outlines, and the distance of found tips from the true
 //! ones.
 
 use std::path::Path;
@@ -101,7 +101,7 @@ pub fn seq(line: &Value) -> Option<u64> {
     line.get("seq").and_then(Value::as_u64)
 }
 
-/// Position of a line's tip in the picture, px, and in space, mm.
+/// Position of a line's tip in the image, px, and in space, mm.
 pub fn place(line: &Value) -> Option<([f64; 2], Option<Vec<f64>>)> {
     let tip = line.get("tip")?;
     let xyz = tip.get("xyz_mm").and_then(Value::as_array);

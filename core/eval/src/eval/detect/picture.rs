@@ -167,7 +167,7 @@ pub fn confusion(truth: &Truth, finds: &[Vec<Find>], shape: Shape) -> Vec<Vec<us
     table
 }
 
-/// The table of [`confusion`] as a picture; shares are of each row.
+/// The table of [`confusion`] as an image; shares are of each row.
 pub fn confusion_picture(path: &Path, title: &str, classes: &[String], table: &[Vec<usize>]) -> Result<()> {
     let n = classes.len();
     let cell = if n <= 12 { 64.0 } else { (900.0 / (n + 1) as f32).max(14.0) };
@@ -201,7 +201,7 @@ pub fn confusion_picture(path: &Path, title: &str, classes: &[String], table: &[
     canvas.save(path)
 }
 
-/// A mistake in a picture.
+/// A mistake in an image.
 struct Mistake {
     picture: usize,
     words: String,
@@ -251,7 +251,7 @@ fn mistakes(truth: &Truth, finds: &[Vec<Find>], shape: Shape) -> Vec<Mistake> {
     }
 }
 
-/// A picture file, shrunk to fit, with its scale.
+/// An image file, shrunk to fit, with its scale.
 fn thumbnail(path: &Path, width: usize, height: usize) -> Result<(Canvas, f32)> {
     let image = image::open(path).on_file(FileAction::Read, path)?;
     let small = image.resize(width as u32, height as u32, image::imageops::FilterType::Triangle).to_rgb8();

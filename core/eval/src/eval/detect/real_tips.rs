@@ -37,7 +37,7 @@ fn end_of(mask: &Mask) -> Option<[f64; 2]> {
 }
 
 /// Finds the tip of each labelled class in each image of `truth`, from the boxes or the outlines of a model. A tip
-/// counts as found in a picture if the node returns one for that class; its error is the distance to the nearest end of
+/// counts as found in an image if the node returns one for that class; its error is the distance to the nearest end of
 /// that class.
 pub fn run(session: &dyn Session, truth: &Truth, node: Node, model: &Path) -> Result<Tips> {
     let scratch = Folder::new("panoscope-tips")?;

@@ -21,10 +21,11 @@ pub struct Image {
 /// Differences of a panorama's instruments from the views.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
-    /// For each instrument the 98 % quantile of the distance between its outline and that of the view that fits best, px.
+    /// For each instrument the 98 % quantile of the distance between its outline and that of the view that fits best,
+    /// px.
     pub deviations_px: Vec<f64>,
-    /// View that fits the largest instrument best (0 left, 1 right), and where the instrument's centre is in that view minus where it is in the
-    /// panorama, px.
+    /// View that fits the largest instrument best (0 left, 1 right), and where the instrument's centre is in that view
+    /// minus where it is in the panorama, px.
     pub position: Option<(usize, Point)>,
 }
 
@@ -213,7 +214,8 @@ fn label(redness: &[f32], width: usize, height: usize) -> Vec<usize> {
 #[derive(Clone, Copy, Debug)]
 struct Projective(Matrix3<f64>);
 
-/// Weight of the perspective terms against one point of the outline; only keeps them small where an outline does not determine them.
+/// Weight of the perspective terms against one point of the outline; only keeps them small where an outline does not
+/// determine them.
 const PERSPECTIVE_WEIGHT: f64 = 0.1;
 
 impl Projective {

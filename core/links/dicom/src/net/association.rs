@@ -145,7 +145,8 @@ impl Association {
     /// Sends an encoded data set of `bytes` bytes.
     ///
     /// # Errors
-    /// The connection broke, or the data set is shorter; then the association is aborted, so that the server keeps no part of it.
+    /// The connection broke, or the data set is shorter; then the association is aborted, so that the server keeps no
+    /// part of it.
     pub fn send_data(&mut self, context: u8, data: &mut dyn Read, bytes: u64) -> Result<()> {
         let mut left = bytes;
         loop {

@@ -1,6 +1,7 @@
-//! What an MP4 file with H.264 holds, read from its index (ISO/IEC 14496-12 and 14496-15).
+//! Content of an MP4 file with H.264, read from its index (ISO/IEC 14496-12 and 14496-15).
 //!
-//! A clip goes into an object as it is, so the object has to say truthfully what is in it, and only what the standard allows may get in.
+//! A clip goes into an object as it is, so the object has to say truthfully what is in it, and only what the standard
+//! allows may get in.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -14,7 +15,7 @@ const MAX_BOXES: usize = 1000;
 pub struct Film {
     /// Width and height, px.
     pub size: (u16, u16),
-    /// Number of pictures.
+    /// Number of images.
     pub frames: u32,
     /// Length, s.
     pub seconds: f64,
@@ -77,7 +78,7 @@ pub enum Mp4Error {
     /// No images, or images without pixels or duration.
     #[error("it holds no pictures")]
     Empty,
-    /// More than 2^31 pictures.
+    /// More than 2^31 images.
     #[error("too many pictures")]
     TooMany,
     /// More than 2^64 ticks.
@@ -207,7 +208,7 @@ fn film(media: &[u8]) -> Result<Film, Mp4Error> {
     Ok(Film { size, frames, seconds, profile, level, chroma_format, bits })
 }
 
-/// Number of pictures and their time in ticks.
+/// Number of images and their time in ticks.
 fn times(stts: &[u8]) -> Result<(u32, u64), Mp4Error> {
     let runs = be32(stts, 4)? as usize;
     let body = stts.get(8..).unwrap_or_default();

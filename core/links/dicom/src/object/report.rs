@@ -1,4 +1,5 @@
-//! Measurements as Comprehensive SR (PS3.3, A.35.3): lengths, depths and angles with their 95 % error bounds, units in UCUM.
+//! Measurements as Comprehensive SR (PS3.3, A.35.3): lengths, depths and angles with their 95 % error bounds, units in
+//! UCUM.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -45,11 +46,11 @@ pub struct Length {
     pub value: f64,
     /// Its 95 % error bound; `None` if unknown.
     pub error: Option<f64>,
-    /// Ends in the picture, px: column and row, the centre of the first pixel at 0, 0.
+    /// Ends in the image, px: column and row, the centre of the first pixel at 0, 0.
     pub points: Vec<[f64; 2]>,
 }
 
-/// Measurements of one table, and the picture in which they were made.
+/// Measurements of one table, and the image in which they were made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lengths {
     /// Name of the image's file next to the table.
@@ -194,7 +195,7 @@ impl Lengths {
 pub struct Group {
     /// Measurements and their image.
     pub lengths: Lengths,
-    /// SOP class, SOP instance and series of the picture.
+    /// SOP class, SOP instance and series of the image.
     pub picture: Option<(String, String, String)>,
 }
 
@@ -265,7 +266,7 @@ impl Report {
         object
     }
 
-    /// The pictures that the report refers to.
+    /// The images that the report refers to.
     fn evidence(&self, study: &Study<'_>) -> Option<Set> {
         let mut pictures: Vec<_> = self.groups.iter().filter_map(|group| group.picture.as_ref()).collect();
         pictures.sort();

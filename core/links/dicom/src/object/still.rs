@@ -20,9 +20,9 @@ pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.7";
 const JPEG_BASELINE: &str = "1.2.840.10008.1.2.4.50";
 /// Number of the series of stills.
 pub(super) const SERIES: (u32, &str) = (1, "Stills");
-/// Maximum number of bytes of a picture file.
+/// Maximum number of bytes of an image file.
 const MAX_FILE_BYTES: u64 = 256 << 20;
-/// Maximum number of pixels of a picture.
+/// Maximum number of pixels of an image.
 const MAX_PIXELS: u64 = 1 << 26;
 
 /// Pixels of a still.

@@ -48,7 +48,7 @@ impl Message<'_> {
     }
 }
 
-/// How 8-bit pictures are encoded.
+/// Encoding of 8-bit images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pictures {
     /// As PNG, for files.
@@ -70,7 +70,7 @@ pub trait Messages {
         true
     }
 
-    /// How 8-bit pictures are encoded.
+    /// Encoding of 8-bit images.
     fn pictures(&self) -> Pictures {
         Pictures::Png
     }

@@ -16,7 +16,7 @@ pub const LEFT_RECTIFIED: &str = "left_rectified";
 /// The right camera after rectification.
 const RIGHT_RECTIFIED: &str = "right_rectified";
 
-/// The frame of a picture, by the output's name.
+/// The frame of an image, by the output's name.
 pub fn of_picture(port: &str, packet: &str) -> &'static str {
     let output = port.rsplit_once('.').map_or(port, |(_, output)| output);
     match packet {

@@ -69,7 +69,8 @@ pub fn raw(pixels: &Pixels<'_>, timestamp: Timestamp, frame: &str) -> std::io::R
     })
 }
 
-/// The known points in m, with their colours; the field `filled` is 1 for points that were filled in, 0 for measured ones.
+/// The known points in m, with their colours; the field `filled` is 1 for points that were filled in, 0 for measured
+/// ones.
 pub fn cloud(points: &[abi::CloudPoint], timestamp: Timestamp) -> PointCloud {
     const STRIDE: usize = 17;
     let mut data = Vec::with_capacity(points.len() * STRIDE);
@@ -132,7 +133,7 @@ fn camera(
     }
 }
 
-/// A box on a picture.
+/// A box on an image.
 fn rectangle([x, y, width, height]: [f64; 4], timestamp: Timestamp) -> PointsAnnotation {
     let corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)];
     PointsAnnotation {
@@ -166,14 +167,14 @@ pub fn boxes(detections: &Detections<'_>, timestamp: Timestamp) -> ImageAnnotati
     annotations
 }
 
-/// A rectangle on a picture.
+/// A rectangle on an image.
 pub fn roi(value: &abi::Roi, timestamp: Timestamp) -> ImageAnnotations {
     let place = [value.x, value.y, value.width, value.height].map(f64::from);
     let points = vec![rectangle(place, timestamp)];
     ImageAnnotations { timestamp: Some(timestamp), points, ..ImageAnnotations::default() }
 }
 
-/// The tip on the picture.
+/// The tip on the image.
 pub fn tip_mark(tip: &abi::Tip, timestamp: Timestamp) -> ImageAnnotations {
     let circle = CircleAnnotation {
         timestamp: Some(timestamp),

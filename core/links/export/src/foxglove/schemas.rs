@@ -14,7 +14,7 @@ pub struct Schema {
     pub encoding: &'static str,
     /// Description of the message: a set of file descriptors, or a text.
     pub data: Vec<u8>,
-    /// How messages are encoded: `protobuf` or `json`.
+    /// Encoding of messages: `protobuf` or `json`.
     pub message_encoding: &'static str,
 }
 

@@ -13,7 +13,7 @@ pub enum LiveServerError {
     Listen {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
     /// The server's thread could not be started.
@@ -21,7 +21,7 @@ pub enum LiveServerError {
     Thread {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
     /// Foxglove's server did not start.
@@ -29,7 +29,7 @@ pub enum LiveServerError {
     Foxglove {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         words: String,
     },
 }

@@ -58,7 +58,7 @@ pub enum ParameterError {
     Refused {
         /// The parameter, as `node.param`.
         name: String,
-        /// Why.
+        /// Reason.
         why: Refusal,
     },
 }

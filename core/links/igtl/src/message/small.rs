@@ -57,7 +57,8 @@ impl Transform {
         }
     }
 
-    /// The unit quaternion w, x, y, z of the rotation, w not negative; `None` unless the matrix is a rotation to within 1e-3.
+    /// The unit quaternion w, x, y, z of the rotation, w not negative; `None` unless the matrix is a rotation to within
+    /// 1e-3.
     pub fn quaternion(&self) -> Option<[f64; 4]> {
         const TOLERANCE: f64 = 1e-3;
         let c = self.columns.map(|column| column.map(f64::from));

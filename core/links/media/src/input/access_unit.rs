@@ -1,6 +1,6 @@
 //! Checks of an access unit without decoding: whether it is damaged, and whether decoding can begin with it.
 
-/// How the codec separates its units.
+/// Separation of the codec's units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
     /// H.264.
@@ -63,7 +63,7 @@ fn is_recovery_point(payload: &[u8]) -> bool {
     false
 }
 
-/// Whether an access unit begins a group of pictures that depends on no earlier data. Images that are shown before it
+/// Whether an access unit begins a group of images that depends on no earlier data. Images that are shown before it
 /// may still depend on earlier data.
 pub fn is_key(codec: Codec, bytes: &[u8], length_bytes: Option<usize>) -> bool {
     units(bytes, length_bytes).into_iter().any(|unit| match (codec, unit) {

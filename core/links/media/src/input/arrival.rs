@@ -1,7 +1,7 @@
 //! Arrival times of images at this machine.
 //!
 //! A probe at the output of every live source records, by the monotonic clock, when the data with each presentation
-//! time entered the pipeline. Queues, jitter and decoding come later, so they are part of a picture's age. A source's
+//! time entered the pipeline. Queues, jitter and decoding come later, so they are part of an image's age. A source's
 //! own stamp (the driver's, or the one of RTP's jitter buffer) is more exact than the probe, and is used if it agrees
 //! with the probe. The stamps of a camera that counts `1 / rate` steps at a wrong rate soon disagree, and the probe's
 //! time is used.
@@ -9,7 +9,7 @@
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
-/// Stamps that are kept: 30 s at 60 pictures per second.
+/// Stamps that are kept: 30 s at 60 frames per second.
 const KEPT: usize = 2048;
 /// Maximum time by which a stamp may precede the probe's time: exposure, transfer and a busy machine.
 const MAX_LAG_NS: i64 = 60_000_000;
@@ -20,7 +20,7 @@ pub struct Arrivals(Mutex<VecDeque<(u64, i64)>>);
 
 impl Arrivals {
     /// Records that data of presentation time `pts_ns` entered the pipeline at `now_ns`; `stamp_ns` is the source's own
-    /// time for it. Of several buffers with one time, such as the packets of a picture, the first is used.
+    /// time for it. Of several buffers with one time, such as the packets of an image, the first is used.
     pub fn note(&self, pts_ns: u64, stamp_ns: Option<i64>, now_ns: i64) {
         let mut stamps = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if stamps.back().is_some_and(|(last, _)| *last == pts_ns) {
@@ -33,7 +33,7 @@ impl Arrivals {
         stamps.push_back((pts_ns, stamp_ns.filter(agrees).unwrap_or(now_ns)));
     }
 
-    /// Arrival of the picture of presentation time `pts_ns`; `None` if no source had data with this time.
+    /// Arrival of the image of presentation time `pts_ns`; `None` if no source had data with this time.
     pub fn of(&self, pts_ns: u64) -> Option<i64> {
         let stamps = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         stamps.iter().rev().find(|(pts, _)| *pts == pts_ns).map(|(_, arrived)| *arrived)

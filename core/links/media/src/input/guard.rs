@@ -1,4 +1,4 @@
-//! Marks the pictures that a decoder makes from damaged data.
+//! Marks the images that a decoder makes from damaged data.
 //!
 //! Damaged data is missing (a discontinuity), flagged by the source, or reported by the decoder. Images of a predictive
 //! codec are correct again from the next keyframe on; until then all decoded images are marked. Marked buffers carry
@@ -15,7 +15,7 @@ use super::access_unit::{self, Codec};
 use super::jpeg;
 use super::libav_log::{self, DamageReport};
 
-/// Times of marked pictures that are kept.
+/// Times of marked images that are kept.
 const KEPT: usize = 1024;
 /// Maximum length of a decoder's message that is passed on.
 const MAX_REASON: usize = 120;

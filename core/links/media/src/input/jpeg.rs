@@ -3,7 +3,7 @@
 //!
 //!
 //! Decoders fill missing parts of a damaged file with gray, or leave the memory unchanged, which holds the previous
-//! picture. So the file is read marker by marker first, and a file without its end marker is refused. [`check`] reads
+//! image. So the file is read marker by marker first, and a file without its end marker is refused. [`check`] reads
 //! the coded data, too.
 
 use std::borrow::Cow;
@@ -86,7 +86,7 @@ pub fn whole(bytes: &[u8]) -> Result<Cow<'_, [u8]>, JpegError> {
     Ok(Cow::Owned([head, &standard_tables(), rest].concat()))
 }
 
-/// Reads markers and coded data without decoding a picture.
+/// Reads markers and coded data without decoding an image.
 ///
 /// # Errors
 /// The JPEG is incomplete, or its coded data are damaged.

@@ -48,7 +48,7 @@ impl Table {
     }
 }
 
-/// One component of the picture.
+/// One component of the image.
 #[derive(Clone, Copy, Default)]
 struct Component {
     id: u8,

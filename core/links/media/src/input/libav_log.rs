@@ -7,7 +7,7 @@
 //! GStreamer's category `libav` on the thread that decodes, so every guarded decoder decodes on one thread, and its
 //! guard is the thread's.
 //!
-//! GStreamer 1.22 describes a pool of pictures of an unknown format with memory that it has not initialised, and mostly
+//! GStreamer 1.22 describes a pool of images of an unknown format with memory that it has not initialised, and mostly
 //! crashes. A failed assertion comes before that: the thread of the decoder stops there for ever, and its pipeline is
 //! left behind.
 

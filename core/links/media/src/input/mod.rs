@@ -1,7 +1,8 @@
-//! Video in: cameras, files, addresses and pipelines as a queue of pictures.
+//! Video in: cameras, files, addresses and pipelines as a queue of images.
 //!
-//! An [`Input`] runs one pipeline. Its decoders and the reader's conversion run on GStreamer's threads; pictures wait in a bounded [`Queue`].
-//! Pictures made from damaged data are marked ([`guard`]), and every picture has the time at which it arrived at this machine ([`arrival`]).
+//! An [`Input`] runs one pipeline. Its decoders and the reader's conversion run on GStreamer's threads; images wait in
+//! a bounded [`Queue`]. Images made from damaged data are marked ([`guard`]), and every image has the time at which it
+//! arrived at this machine ([`arrival`]).
 
 mod access_unit;
 mod arrival;
@@ -52,7 +53,7 @@ pub enum InputName {
     Text(String),
 }
 
-/// How an input is opened.
+/// Options for opening an input.
 #[derive(Clone, Debug)]
 pub struct InputOptions {
     /// Requested mode of a camera.
@@ -88,7 +89,7 @@ pub struct Format {
 pub(crate) struct Shared {
     format: Mutex<Format>,
     guards: Guards,
-    /// Latest end of a picture, by the container's clock, ns.
+    /// Latest end of an image, by the container's clock, ns.
     reached_ns: AtomicU64,
     arrivals: Arrivals,
     failure: Mutex<Option<String>>,
@@ -210,7 +211,7 @@ pub struct Input<T: Send + 'static> {
 }
 
 impl<T: Send + 'static> Input<T> {
-    /// Starts `name` and waits for its first picture. `convert` runs on the pipeline's thread; `signal` is notified of
+    /// Starts `name` and waits for its first image. `convert` runs on the pipeline's thread; `signal` is notified of
     /// every frame.
     ///
     ///
@@ -383,7 +384,7 @@ impl<T: Send + 'static> Input<T> {
         self.pipeline.query_duration::<gst::ClockTime>().map(|time| Duration::from_nanos(time.nseconds()))
     }
 
-    /// Latest end of a picture so far, by the container's clock, which need not begin at 0.
+    /// Latest end of an image so far, by the container's clock, which need not begin at 0.
     pub fn reached(&self) -> Duration {
         Duration::from_nanos(self.shared.reached_ns.load(Ordering::Relaxed))
     }
@@ -393,7 +394,7 @@ impl<T: Send + 'static> Input<T> {
         self.shared.guards.has_marks()
     }
 
-    /// Number of pictures, if the container states it.
+    /// Number of images, if the container states it.
     pub fn pictures(&self) -> Option<u64> {
         self.pipeline.query_duration::<gst::format::Default>().map(|count| *count).filter(|count| *count > 0)
     }

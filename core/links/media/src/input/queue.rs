@@ -86,7 +86,7 @@ pub struct Queue<T> {
 }
 
 impl<T> Queue<T> {
-    /// An empty queue for `capacity` pictures.
+    /// An empty queue for `capacity` images.
     pub fn new(policy: Policy, capacity: usize) -> Self {
         let state = State {
             items: VecDeque::new(),
@@ -100,7 +100,7 @@ impl<T> Queue<T> {
         Self { state: Mutex::new(state), space: Condvar::new(), filled: Condvar::new(), capacity }
     }
 
-    /// Appends a picture. Returns `false` once the queue is closed.
+    /// Appends an image. Returns `false` once the queue is closed.
     pub fn push(&self, pts_ns: Option<i64>, arrived_ns: i64, content: T) -> bool {
         let mut state = locked(&self.state);
         let must_wait = |state: &mut State<T>| {
@@ -143,12 +143,12 @@ impl<T> Queue<T> {
         self.filled.notify_all();
     }
 
-    /// The end, once it has been reported; pictures may still wait.
+    /// The end, once it has been reported; images may still wait.
     pub fn ended(&self) -> Option<End> {
         locked(&self.state).end.clone()
     }
 
-    /// Releases the pipeline's thread; no further picture is taken.
+    /// Releases the pipeline's thread; no further image is taken.
     pub fn close(&self) {
         let mut state = locked(&self.state);
         state.is_closed = true;
@@ -164,7 +164,7 @@ impl<T> Queue<T> {
         self.space.notify_all();
     }
 
-    /// Waits until there is a picture or the end, at most for `limit`. Returns whether there is.
+    /// Waits until there is an image or the end, at most for `limit`. Returns whether there is.
     pub fn wait(&self, limit: Duration) -> bool {
         let state = locked(&self.state);
         let is_idle = |state: &mut State<T>| state.items.is_empty() && state.end.is_none();
@@ -172,13 +172,13 @@ impl<T> Queue<T> {
         !state.items.is_empty() || state.end.is_some()
     }
 
-    /// Waits until there is a picture, at most for `limit`; returns whether there is.
+    /// Waits until there is an image, at most for `limit`; returns whether there is.
     pub fn wait_for_item(&self, limit: Duration) -> bool {
         self.wait(limit);
         !locked(&self.state).items.is_empty()
     }
 
-    /// The oldest picture, waiting for it at most for `limit`; `None` at the end or after the limit.
+    /// The oldest image, waiting for it at most for `limit`; `None` at the end or after the limit.
     pub fn pop(&self, limit: Duration) -> Option<Item<T>> {
         let begin = Instant::now();
         self.wait(limit.saturating_sub(begin.elapsed()));
@@ -187,13 +187,13 @@ impl<T> Queue<T> {
         item
     }
 
-    /// Arrival times of the waiting pictures, oldest first, ns of `CLOCK_MONOTONIC`.
+    /// Arrival times of the waiting images, oldest first, ns of `CLOCK_MONOTONIC`.
     pub fn arrivals(&self, out: &mut Vec<i64>) {
         out.clear();
         out.extend(locked(&self.state).items.iter().map(|item| item.arrived_ns));
     }
 
-    /// Removes all pictures that arrived before `time_ns`; returns how many.
+    /// Removes all images that arrived before `time_ns`; returns how many.
     pub fn discard_before(&self, time_ns: i64) -> u64 {
         let mut state = locked(&self.state);
         let count = state.items.iter().take_while(|item| item.arrived_ns < time_ns).count();
@@ -207,7 +207,7 @@ impl<T> Queue<T> {
         locked(&self.state).pushed
     }
 
-    /// Pictures that a full queue dropped.
+    /// Images that a full queue dropped.
     pub fn dropped(&self) -> u64 {
         locked(&self.state).dropped
     }

@@ -76,7 +76,7 @@ pub enum BagError {
         path: PathBuf,
         /// Messages before that.
         messages: u64,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
 }

@@ -58,7 +58,7 @@ struct Source {
     /// The bytes of one that is in memory.
     bytes: Option<Arc<[u8]>>,
     channels: Channels,
-    /// How it ends; taken once it is reported.
+    /// Its end; taken once it is reported.
     end: Option<End>,
     /// Messages so far.
     messages: u64,

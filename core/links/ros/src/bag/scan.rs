@@ -116,7 +116,7 @@ pub struct Scan {
     pub parts: Vec<Part>,
     /// Its channels outside of chunks.
     pub channels: Channels,
-    /// How it ends.
+    /// Its end.
     pub end: End,
 }
 
@@ -124,7 +124,7 @@ pub struct Scan {
 enum ScanError {
     /// The system's error.
     Read(io::Error),
-    /// What is wrong with the bytes.
+    /// Description of the problem.
     Damaged(String),
 }
 

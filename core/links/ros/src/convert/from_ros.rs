@@ -14,9 +14,9 @@ use crate::messages::{
 
 /// Millimetres in a metre.
 const MM_PER_M: f64 = 1e3;
-/// Largest side of a picture.
+/// Largest side of an image.
 const MAX_SIDE: u32 = 1 << 15;
-/// Maximum number of pixels of a picture, and points of a cloud.
+/// Maximum number of pixels of an image, and points of a cloud.
 const MAX_PIXELS: u64 = 1 << 27;
 /// Maximum number of boxes of a message.
 const MAX_BOXES: usize = 10_000;
@@ -46,12 +46,12 @@ pub enum ConvertError {
         /// Its name.
         encoding: String,
     },
-    /// A compressed picture that cannot be decoded.
+    /// A compressed image that cannot be decoded.
     #[error("a compressed picture (`{format}`) cannot be decoded: {words}")]
     Compressed {
         /// Format stated by the message.
         format: String,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
     /// Points without coordinates.
@@ -86,7 +86,7 @@ pub struct Picture {
     pub samples: Samples,
 }
 
-/// Samples of a picture.
+/// Samples of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Samples {
     /// One byte a pixel.
@@ -110,7 +110,7 @@ fn checked(width: u32, height: u32, step: u32, row_bytes: u64, len: usize) -> Re
     if fits { Ok(()) } else { Err(ConvertError::Size { width, height, step, len }) }
 }
 
-/// The pixels of a picture. Alpha is dropped.
+/// The pixels of an image. Alpha is dropped.
 ///
 /// # Errors The encoding is not supported, or the size does not fit the bytes.
 pub fn picture(message: &Image<'_>) -> Result<Picture, ConvertError> {
@@ -151,7 +151,7 @@ pub fn picture(message: &Image<'_>) -> Result<Picture, ConvertError> {
     Ok(Picture { width: width as usize, height: height as usize, samples })
 }
 
-/// The pixels of a compressed picture, JPEG or PNG by its bytes.
+/// The pixels of a compressed image, JPEG or PNG by its bytes.
 ///
 /// # Errors
 /// It is neither, or damaged.

@@ -49,7 +49,7 @@ fn plain_bytes<'a>(view: &View<'a, u8>) -> Bytes<'a> {
     Bytes(Cow::Owned(data))
 }
 
-/// A picture. `scale` multiplies floats: 0.001 for depth, which is in m in ROS.
+/// An image. `scale` multiplies floats: 0.001 for depth, which is in m in ROS.
 pub fn image_message<'a>(pixels: &Pixels<'a>, scale: f32, header: Header) -> Image<'a> {
     let (width, height) = pixels.size();
     let (encoding, pixel, data) = match pixels {
@@ -70,7 +70,7 @@ pub fn image_message<'a>(pixels: &Pixels<'a>, scale: f32, header: Header) -> Ima
     }
 }
 
-/// A picture of 8 bits as JPEG.
+/// An image of 8 bits as JPEG.
 ///
 /// # Errors
 /// The encoder's.
@@ -125,7 +125,8 @@ pub fn disparity_message<'a>(
     }
 }
 
-/// The points in rows of `width`, in m, unknown ones as NaN. The field `filled` is 1 for points that were filled in, 0 for measured ones.
+/// The points in rows of `width`, in m, unknown ones as NaN. The field `filled` is 1 for points that were filled in, 0
+/// for measured ones.
 pub fn points_message(
     points: impl ExactSizeIterator<Item = abi::CloudPoint>,
     width: usize,

@@ -112,7 +112,8 @@ impl Brake {
         SetPoint { position, velocity, acceleration: start.acceleration * (1.0 - k / n) }
     }
 
-    /// Distance in units of the initial speed (s), share of that speed, and braking (1/s) after `step` steps of the second part.
+    /// Distance in units of the initial speed (s), share of that speed, and braking (1/s) after `step` steps of the
+    /// second part.
     fn straight(&self, step: u32) -> (f64, f64, f64) {
         let (h, j, n) = (STEP_S, self.jerk, f64::from(self.ramp));
         let setting_in = |k: f64| {

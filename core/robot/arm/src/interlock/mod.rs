@@ -2,10 +2,11 @@
 //!
 //! Three watchdogs, each independent of the one before it:
 //! 1. `arm_pid` asks for nothing without a fresh tip. It is a node like any other and may be replaced or wrong.
-//! 2. This interlock lives in the driver (`arm_sim`, `arm_serial`), after the graph's last wire. It looks at the tip itself, at the age of the
-//!    demand, and at every limit, and steps on a clock of the driver's: with real hardware a thread that continues when the graph, the controller
-//!    or the host's scheduler does not.
-//! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the whole process dies.
+//! 2. This interlock lives in the driver (`arm_sim`, `arm_serial`), after the graph's last wire. It looks at the tip
+//!    itself, at the age of the demand, and at every limit, and steps on a clock of the driver's: with real hardware a
+//!    thread that continues when the graph, the controller or the host's scheduler does not.
+//! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the
+//!    whole process dies.
 //!
 //! How it keeps the limits. The state is one [`SetPoint`]; time advances in steps of 1 ms. For each state a stop has
 //! been planned ([`Brake`], closed form) and checked against joint limits and workspace before the state is entered. A
@@ -101,8 +102,8 @@ pub struct Interlock {
 }
 
 impl Interlock {
-    /// An arm at rest at `angles_rad`; it moves once a tip and a demand have arrived. Angles outside the limits are clamped: the caller compares
-    /// [`Interlock::set_point`] with the arm's angles.
+    /// An arm at rest at `angles_rad`; it moves once a tip and a demand have arrived. Angles outside the limits are
+    /// clamped: the caller compares [`Interlock::set_point`] with the arm's angles.
     pub fn new(chain: Chain, angles_rad: JointVector, now_ns: i64) -> Self {
         let caps = Caps::of(&chain);
         let home = chain.stance(&JointVector::zeros()).base_from_tip * Vector3::z();
@@ -165,7 +166,8 @@ impl Interlock {
         self.tip = Some((light_ns, evidence));
     }
 
-    /// Corrects the time at which the light of the newest tip arrived, for a caller whose clock is not that of the tips.
+    /// Corrects the time at which the light of the newest tip arrived, for a caller whose clock is not that of the
+    /// tips.
     pub fn correct_tip(&mut self, light_ns: i64) {
         if let Some((at_ns, _)) = &mut self.tip {
             *at_ns = light_ns;
@@ -177,8 +179,9 @@ impl Interlock {
         self.demand_of_light(now_ns, now_ns, velocity_rad_s);
     }
 
-    /// Requests joint velocities, rad/s, at `made_ns`, computed from light that arrived at `light_ns`. The demand expires 24 ms after it was made,
-    /// and is not followed when its light is older than a tip may be. Anything but six finite numbers is an invalid demand, which stops the arm.
+    /// Requests joint velocities, rad/s, at `made_ns`, computed from light that arrived at `light_ns`. The demand
+    /// expires 24 ms after it was made, and is not followed when its light is older than a tip may be. Anything but six
+    /// finite numbers is an invalid demand, which stops the arm.
     pub fn demand_of_light(&mut self, made_ns: i64, light_ns: i64, velocity_rad_s: &[f64]) {
         let sound = velocity_rad_s.len() == JOINTS && velocity_rad_s.iter().all(|v| v.is_finite());
         let velocity = sound.then(|| JointVector::from_column_slice(velocity_rad_s));
@@ -247,7 +250,8 @@ impl Interlock {
         self.events.pop_front()
     }
 
-    /// Advances to `now_ns` and calls `each` with every set-point (one per ms). Time that goes backwards makes no step, a jump at most 250 steps.
+    /// Advances to `now_ns` and calls `each` with every set-point (one per ms). Time that goes backwards makes no step,
+    /// a jump at most 250 steps.
     pub fn advance(&mut self, now_ns: i64, each: &mut dyn FnMut(&SetPoint)) {
         let max_ns = caps::MAX_CALL.as_nanos() as i64;
         let passed_ns = now_ns.saturating_sub(self.now_ns);

@@ -1,4 +1,5 @@
-//! Finds the gains of the controller on a simulated arm: by relay feedback and rules, and by a search that minimises a stated cost.
+//! Finds the gains of the controller on a simulated arm: by relay feedback and rules, and by a search that minimises a
+//! stated cost.
 
 pub mod course;
 pub mod relay;
@@ -46,7 +47,7 @@ pub enum TuneError {
     Stopped {
         /// Time, s.
         at_s: f64,
-        /// Why, in the interlock's words.
+        /// Reason, as text of the interlock.
         cause: String,
     },
 }

@@ -1,5 +1,6 @@
-//! Relay feedback (Astrom and Hagglund 1984, "Automatic tuning of simple regulators with specifications on phase and amplitude margins"): a relay in
-//! the controller's place makes the loop oscillate at the period at which a proportional controller would just sustain it.
+//! Relay feedback (Astrom and Hagglund 1984, "Automatic tuning of simple regulators with specifications on phase and
+//! amplitude margins"): a relay in the controller's place makes the loop oscillate at the period at which a
+//! proportional controller would just sustain it.
 
 use std::f64::consts::{PI, TAU};
 
@@ -42,8 +43,9 @@ impl Relay {
     /// the peak: that describing function is 19 % off for an integrator with dead time, whose swing is a triangle.
     ///
     /// # Errors
-    /// [`TuneError::BadRelay`] for an amplitude, step or time that is not above 0; [`TuneError::NoSwing`] where the error does not cross 0 often
-    /// enough, or not steadily; [`TuneError::NotFinite`] where the plant returns no finite number.
+    /// [`TuneError::BadRelay`] for an amplitude, step or time that is not above 0; [`TuneError::NoSwing`] where the
+    /// error does not cross 0 often enough, or not steadily; [`TuneError::NotFinite`] where the plant returns no finite
+    /// number.
     pub fn swing(&self, plant: &mut dyn FnMut(f64) -> f64) -> Result<Ultimate, TuneError> {
         for (what, value) in [("amplitude", self.amplitude), ("step", self.step_s), ("longest time", self.max_s)] {
             if !(value > 0.0 && value.is_finite()) {
@@ -105,10 +107,11 @@ pub enum Rule {
     /// Ziegler and Nichols 1942, "Optimum settings for automatic controllers": each swing is a quarter of the one
     /// before.
     ZieglerNichols,
-    /// Tyreus and Luyben 1992, "Tuning PI controllers for integrator/dead time processes": calmer, for integrating loops.
+    /// Tyreus and Luyben 1992, "Tuning PI controllers for integrator/dead time processes": calmer, for integrating
+    /// loops.
     TyreusLuyben,
-    /// AMIGO for integrating processes: Astrom and Hagglund 2004, "Revisiting the Ziegler-Nichols step response method for PID control"; speed and dead
-    /// time of the integrator from the limit of stability.
+    /// AMIGO for integrating processes: Astrom and Hagglund 2004, "Revisiting the Ziegler-Nichols step response method
+    /// for PID control"; speed and dead time of the integrator from the limit of stability.
     Amigo,
 }
 

@@ -95,7 +95,8 @@ pub fn cost(
     Ok(Cost { total, itae, swing_mm, overshoot_pct, shake_mm_s2: shake })
 }
 
-/// Start points of a search: the gains of all rules, and those found for fewer parts, with a little of the missing part.
+/// Start points of a search: the gains of all rules, and those found for fewer parts, with a little of the missing
+/// part.
 pub fn starts(ultimate: &Ultimate, parts: Parts, fewer: Option<Tuned>) -> Vec<Tuned> {
     let mut out: Vec<Tuned> = Rule::ALL.iter().filter_map(|rule| rule.gains(ultimate, parts)).collect();
     if let Some(fewer) = fewer {
@@ -106,8 +107,8 @@ pub fn starts(ultimate: &Ultimate, parts: Parts, fewer: Option<Tuned>) -> Vec<Tu
     out
 }
 
-/// Searches from all `starts`; returns the best gains and their cost. Gains of unused parts are 0. Calls `tried` after each trial, which ends the
-/// search by returning false.
+/// Searches from all `starts`; returns the best gains and their cost. Gains of unused parts are 0. Calls `tried` after
+/// each trial, which ends the search by returning false.
 ///
 /// # Errors
 /// See [`Course::play`].

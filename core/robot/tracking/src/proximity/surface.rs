@@ -264,7 +264,7 @@ mod tests {
     const LENS: Lens = Lens { fx: 375.0, fy: 375.0, cx: 159.5, cy: 119.5 };
     const SIZE: (usize, usize) = (320, 240);
 
-    /// Where the ray of a pixel meets the plane `z = z0 + slope x`.
+    /// Intersection of the ray of a pixel with the plane `z = z0 + slope x`.
     fn plane(u: usize, z0: f64, slope: f64) -> f32 {
         (z0 / (1.0 - slope * (u as f64 - LENS.cx) / LENS.fx)) as f32
     }

@@ -41,7 +41,7 @@ impl Mean {
     }
 }
 
-/// What a tool does during a cell of time.
+/// Activity of a tool during a time cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activity {
     /// Out of view.
@@ -148,7 +148,7 @@ impl Measures {
         self.unseen as f64 * CELL_S
     }
 
-    /// How often it left the view.
+    /// Number of times that it left the view.
     pub fn departures(&self) -> u64 {
         self.departures
     }

@@ -16,10 +16,11 @@
 //! | contacts, grasps | [`measures`] | ours: jaws are not observed |
 //!
 //! **From samples to movement.** Time is divided into cells of [`CELL_S`]. Place and velocity in the middle of a cell come from a cubic that is
-//! fitted to the samples around it ([`local_fit`], after Savitzky and Golay 1964, for any spacing of samples). Samples farther apart than
-//! [`Settings::max_gap_s`] leave a stretch out of view between them; nearer ones are bridged. A tool is idle where it is slower than
-//! [`Settings::rest_mm_s`] for at least [`Settings::rest_s`]; a movement lies between two stretches of idleness or absence. Smoothness is measured
-//! on each movement, from where its speed first passes a tenth of its peak (or rest, where that is faster) to where it last does, on a quintic spline through its samples
+//! fitted to the samples around it ([`local_fit`], after Savitzky and Golay 1964, for any spacing of samples). Samples
+//! farther apart than [`Settings::max_gap_s`] leave a stretch out of view between them; nearer ones are bridged. A tool
+//! is idle where it is slower than [`Settings::rest_mm_s`] for at least [`Settings::rest_s`]; a movement lies between
+//! two stretches of idleness or absence. Smoothness is measured on each movement, from where its speed first passes a
+//! tenth of its peak (or rest, where that is faster) to where it last does, on a quintic spline through its samples
 //! ([`spline`]).
 
 pub mod bimanual;

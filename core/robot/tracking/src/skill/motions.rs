@@ -31,7 +31,7 @@ impl Timing {
         }
     }
 
-    /// Times of pictures over a length, s.
+    /// Times of images over a length, s.
     pub fn times_s(self, length_s: f64) -> Vec<f64> {
         let mut random = panoscope_base::random::SplitMix64(0x9e37_79b9_7f4a_7c15);
         let mut chance = || random.bits() as f64 / u64::MAX as f64;

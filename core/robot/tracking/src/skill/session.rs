@@ -148,7 +148,7 @@ impl Session {
         }
     }
 
-    /// Advances the time to `now_s`; tools that were not seen for too long go out of view. Call it once per picture,
+    /// Advances the time to `now_s`; tools that were not seen for too long go out of view. Call it once per image,
     /// after its samples.
     pub fn advance(&mut self, now_s: f64) {
         if now_s.is_nan() || now_s < self.now_s {

@@ -1,5 +1,5 @@
-//! The cheapest one-to-one assignment (Kuhn 1955, "The Hungarian method"; by shortest augmenting paths after Jonker and Volgenant
-//! 1987), in fixed memory.
+//! The cheapest one-to-one assignment (Kuhn 1955, "The Hungarian method"; by shortest augmenting paths after Jonker and
+//! Volgenant 1987), in fixed memory.
 
 /// Maximum number of rows.
 pub const ROWS: usize = 8;
@@ -7,7 +7,8 @@ pub const ROWS: usize = 8;
 pub const COLUMNS: usize = 16;
 /// Columns of the solved problem: one more per row, which leaves it unassigned.
 const ALL: usize = COLUMNS + ROWS;
-/// Cost of leaving a row unassigned: more than any pair, so that as many rows as possible are assigned, and these as cheaply as possible.
+/// Cost of leaving a row unassigned: more than any pair, so that as many rows as possible are assigned, and these as
+/// cheaply as possible.
 const UNASSIGNED: f64 = 1e6;
 /// Cost of a forbidden pair.
 const FORBIDDEN: f64 = 1e12;

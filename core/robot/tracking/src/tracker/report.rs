@@ -9,7 +9,7 @@ use crate::kalman::Model;
 pub struct Rules {
     /// Parameters of the motion and of the gate.
     pub model: Model,
-    /// Standard deviation of a tip's position in the picture, px.
+    /// Standard deviation of a tip's position in the image, px.
     pub lateral_px: f64,
     /// Standard deviation of its disparity, px.
     pub disparity_px: f64,

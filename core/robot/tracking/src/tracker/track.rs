@@ -31,7 +31,7 @@ pub struct Observation {
     at_mm: Vector3<f64>,
     covariance_mm2: Matrix3<f64>,
     age_s: f64,
-    /// Tangent of the angle to the centre of the picture that both cameras share.
+    /// Tangent of the angle to the centre of the image that both cameras share.
     off_axis: f64,
     /// Whether it is assigned to a track.
     pub is_taken: bool,

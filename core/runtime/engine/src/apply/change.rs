@@ -40,7 +40,7 @@ pub(super) enum Opens {
     AfterClose,
 }
 
-/// How the values of a node change.
+/// Change of the values of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Values {
     Same,
@@ -50,7 +50,7 @@ pub(super) enum Values {
     Reopen(Opens),
 }
 
-/// What a change does to a node of the new graph.
+/// Effect of a change on a node of the new graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NodeChange {
     /// There was no node of this name.

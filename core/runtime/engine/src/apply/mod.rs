@@ -1,8 +1,8 @@
 //! Changing a running graph: one transaction from the graph that runs to another checked one.
 //!
-//! New nodes open beside the running ones. The regions that the change touches stop admitting ticks; sources continue and
-//! their ticks are retained. When the ticks inside have finished, the engine switches the plan and the retained ticks enter. Other regions
-//! are not affected. A failure before the switch leaves everything as it was.
+//! New nodes open while the old ones run. The regions that the change touches stop admitting ticks; sources continue
+//! and their ticks are retained. When the ticks inside have finished, the engine switches the plan and the retained
+//! ticks enter. Other regions are not affected. A failure before the switch leaves everything as it was.
 
 mod change;
 mod switch;
@@ -37,7 +37,8 @@ const MAX_DRAIN: Duration = Duration::from_secs(10);
 const MAX_LEAVE: Duration = Duration::from_secs(2);
 
 impl Engine {
-    /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or nothing.
+    /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or
+    /// nothing.
     ///
     /// Nodes of the same name and type keep their instance, counters and inputs; untouched paths lose no tick.
     ///
@@ -167,7 +168,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Opens nodes of the new graph one after the other, each within its time limit. If one fails, closes those opened before it.
+    /// Opens nodes of the new graph one after the other, each within its time limit. If one fails, closes those opened
+    /// before it.
     fn open_each(&self, change: &Change, graph: &Graph, nodes: &[usize]) -> Result<Vec<Opened>, ApplyError> {
         let shared = &self.shared;
         let runtime = |node: usize| &change.plan.runtimes[change.plan.slots[node]];

@@ -75,8 +75,8 @@ impl NodeRuntime {
         Ok(())
     }
 
-    /// The position at which a reopened source continues. The caller puts it back only if the instance understood it, so that a position
-    /// on which an instance hangs is not tried twice.
+    /// The position at which a reopened source continues. The caller puts it back only if the instance understood it,
+    /// so that a position on which an instance hangs is not tried twice.
     pub(crate) fn take_position(&self, instance: &Instance) -> Option<Vec<u8>> {
         if instance.is_open() { self.recovery.take_position() } else { None }
     }

@@ -39,7 +39,7 @@ const SILENT_CALLS: u32 = 30;
 /// Readers that run inline have one input.
 const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
 
-/// How a call ended.
+/// Result of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CallOutcome {
     Ok,
@@ -74,7 +74,7 @@ pub(crate) struct Called {
     pub arrived_ns: Option<i64>,
 }
 
-/// Why a call has no outcome.
+/// A call without an outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NoOutcome {
     /// The engine closed the node, which does not run again.
@@ -100,7 +100,8 @@ fn bytes<'f>(frames: impl Iterator<Item = &'f Frame>) -> u64 {
 }
 
 impl NodeRuntime {
-    /// Takes the node's [`Exec`], calls the node for one tick, and puts the `Exec` back. The caller releases the inputs.
+    /// Takes the node's [`Exec`], calls the node for one tick, and puts the `Exec` back. The caller releases the
+    /// inputs.
     #[inline]
     pub fn call_node(
         &self,
@@ -468,8 +469,8 @@ impl NodeRuntime {
         }
     }
 
-    /// Copies the packets of an isolated node to memory that its process cannot write, so that what a reader checked stays true. Pixels stay
-    /// where they are: all bytes are pixels.
+    /// Copies the packets of an isolated node to memory that its process cannot write, so that what a reader checked
+    /// stays true. Pixels stay where they are: all bytes are pixels.
     #[cold]
     fn receive(&self, status: abi::Status, refused: &mut Option<Refused>, made: &mut CallOutputs) {
         if status == STATUS_DIED {

@@ -1,7 +1,8 @@
-//! Catches plugins that call `exit`, which would end the run without an error message, by defining the exit functions in the program.
+//! Catches plugins that call `exit`, which would end the run without an error message, by defining the exit functions
+//! in the program.
 //!
-//! [`guard_exits!`](crate::guard_exits) defines them in a program, whose build exports them (`--export-dynamic-symbol`), so that the dynamic
-//! linker binds the calls of all plugins and their libraries to them.
+//! [`guard_exits!`](crate::guard_exits) defines them in a program, whose build exports them
+//! (`--export-dynamic-symbol`), so that the dynamic linker binds the calls of all plugins and their libraries to them.
 
 use std::ffi::c_int;
 
@@ -78,7 +79,8 @@ fn go_on(code: c_int, call: ExitCall) -> ! {
     leave(code)
 }
 
-/// Defines C's exit functions in a program, so that plugins cannot end it unnoticed. See [`ending::called`](crate::ending::called).
+/// Defines C's exit functions in a program, so that plugins cannot end it unnoticed. See
+/// [`ending::called`](crate::ending::called).
 #[macro_export]
 macro_rules! guard_exits {
     () => {

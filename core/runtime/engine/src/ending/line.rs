@@ -73,8 +73,8 @@ impl Line {
         self.len = 0;
     }
 
-    /// Makes the line the message of a JSON object, as `--log-format json` of the command writes them. Allocates nothing: characters that JSON
-    /// escapes are replaced.
+    /// Makes the line the message of a JSON object, as `--log-format json` of the command writes them. Allocates
+    /// nothing: characters that JSON escapes are replaced.
     fn put_into_json(&mut self) {
         let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
         // SAFETY: a plain system call that a signal handler may make; it fills a local value.

@@ -72,7 +72,8 @@ pub(super) fn crashed(thread: i32) {
     }
 }
 
-/// Has the rescue thread finish the files of all other nodes and waits for it. Called in the signal handler of the thread that crashed.
+/// Has the rescue thread finish the files of all other nodes and waits for it. Called in the signal handler of the
+/// thread that crashed.
 pub(super) fn after_crash(victim: Option<&NodeNames>) {
     VICTIM.store(victim.map_or(std::ptr::null_mut(), |who| std::ptr::from_ref(who).cast_mut()), Ordering::Release);
     let pipe = WAKE.load(Ordering::Acquire);

@@ -225,9 +225,9 @@ impl Engine {
         Ok(())
     }
 
-    /// Stops the sources, waits, and closes all nodes, so that files are finished. `patience` limits the wait for nodes that do not return,
-    /// and then for nodes that do not close (at least one second each); the log names those that it leaves behind. A change of the graph in
-    /// progress fails.
+    /// Stops the sources, waits, and closes all nodes, so that files are finished. `patience` limits the wait for nodes
+    /// that do not return, and then for nodes that do not close (at least one second each); the log names those that it
+    /// leaves behind. A change of the graph in progress fails.
     pub fn close(&self, patience: Duration) -> Outcome {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.stop();
@@ -307,8 +307,8 @@ impl Engine {
         self.shared.context.faults.recent()
     }
 
-    /// Moves `cursor` past the newest fault; a cursor of another run starts at the first fault. Returns whether its faults changed. Cheap where
-    /// there are no new ones, for displays.
+    /// Moves `cursor` past the newest fault; a cursor of another run starts at the first fault. Returns whether its
+    /// faults changed. Cheap where there are no new ones, for displays.
     pub fn faults_since(&self, cursor: &mut FaultCursor) -> bool {
         self.shared.context.faults.advance(cursor)
     }
@@ -324,7 +324,7 @@ impl Engine {
         Report::of(&self.current.load().graph, &self.shared)
     }
 
-    /// What each node did since the last call with this `window`. Cheaper than a report, for displays.
+    /// Activity of each node since the last call with this `window`. Cheaper than a report, for displays.
     pub fn window(&self, window: &mut Window) -> BTreeMap<String, NodeWindow> {
         window.step(&self.shared)
     }

@@ -30,14 +30,16 @@ pub struct Options {
     pub threads: usize,
     /// Ticks each source makes; `None` until the sources end or the engine is stopped.
     pub frames: Option<u64>,
-    /// In live mode, sources wait until the capture time of a tick. Otherwise they run as fast as the graph takes ticks.
+    /// In live mode, sources wait until the capture time of a tick. Otherwise they run as fast as the graph takes
+    /// ticks.
     pub paced: bool,
     /// Ticks of a source that may be in flight at once; `None` leaves it to the mode and queues of the graph. 1 runs
     /// one tick at a time, so that node timings do not overlap.
     pub ticks_at_once: Option<u32>,
     /// Folder that nodes resolve relative paths against.
     pub graph_dir: std::path::PathBuf,
-    /// Whether files of earlier runs stay: nodes that would replace one write to the next `NAME.partN` that does not exist.
+    /// Whether files of earlier runs stay: nodes that would replace one write to the next `NAME.partN` that does not
+    /// exist.
     pub keep_outputs: bool,
     /// Receives log lines.
     pub log: Option<Box<LogFn>>,
@@ -53,8 +55,9 @@ pub struct Options {
     pub listen: Vec<Listener>,
     /// Nodes whose metrics a listener receives, each when the node reports it; one listener for a node.
     pub numbers: Vec<NumberListener>,
-    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long. From [`Engine::stop`](crate::Engine::stop)
-    /// on, any call that takes longer counts as hung in both. The default is 2 s, or what the environment variable `PANOSCOPE_HANG_MS` says.
+    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long. From
+    /// [`Engine::stop`](crate::Engine::stop) on, any call that takes longer counts as hung in both. The default is 2 s,
+    /// or what the environment variable `PANOSCOPE_HANG_MS` says.
     pub hang: Duration,
     /// Time limit for opening a node: at the start, in a change and after a fault.
     pub open_limit: Duration,
@@ -98,7 +101,7 @@ impl Default for Options {
     }
 }
 
-/// Why a graph did not start.
+/// A graph that did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// A node did not open.
@@ -114,7 +117,7 @@ pub enum StartError {
     /// The graph no longer fits the loaded plugins.
     #[error("{reason}; check the graph again")]
     Stale {
-        /// What changed.
+        /// The changed parts.
         reason: String,
     },
     /// The system gave no thread.
@@ -125,7 +128,7 @@ pub enum StartError {
     },
 }
 
-/// Why a parameter was not changed.
+/// A parameter that was not changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SetError {
     /// No such node.
@@ -149,7 +152,7 @@ pub enum SetError {
         node: String,
         /// The parameter.
         param: String,
-        /// What is wrong with the value.
+        /// Description of the problem.
         reason: String,
     },
     /// The node did not open with the new value; the old one stays in force.
@@ -162,7 +165,7 @@ pub enum SetError {
     },
 }
 
-/// How a run ended.
+/// Result of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// All sources ended, or the engine was asked to stop.

@@ -15,7 +15,7 @@ const MAX_DELAYED: usize = 8;
 /// Largest queue capacity that is allocated at the start.
 const MAX_RESERVED: usize = 256;
 
-/// How a slot is matched with the node's other slots.
+/// Matching of a slot with the node's other slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Rule {
     /// The same tick on all exact slots.
@@ -33,8 +33,8 @@ pub(crate) struct Slot {
     pub rule: Rule,
     /// The input may be empty or unconnected.
     pub optional: bool,
-    /// Queue length in live mode; older packets are dropped. Not used for `exact` slots, whose queues are limited by the ticks in
-    /// the region.
+    /// Queue length in live mode; older packets are dropped. Not used for `exact` slots, whose queues are limited by
+    /// the ticks in the region.
     pub capacity: usize,
     pub(super) queue: VecDeque<FrameRef>,
     /// Newest non-empty value that was used (`latest`, `delay`).

@@ -22,7 +22,7 @@ pub(super) struct Shared {
 }
 
 struct State {
-    /// What other processes may do with the pools of each domain in use.
+    /// Rights of other processes on the pools of each domain in use.
     backing: [Option<Backing>; DOMAINS],
     /// The domain that holds this process's own frames, and the number of users of [`SharedFrames`].
     own: Option<(Domain, usize)>,
@@ -33,7 +33,8 @@ impl Shared {
         Self { state: Mutex::new(State { backing: [const { None }; DOMAINS], own: None }) }
     }
 
-    /// Calls `work` with what other processes may do with the pools of a domain, which stays open meanwhile; `None` if it is closed.
+    /// Calls `work` with what other processes may do with the pools of a domain, which stays open meanwhile; `None` if
+    /// it is closed.
     pub fn with_backing<R>(&self, domain: u32, work: impl FnOnce(Backing) -> R) -> Option<R> {
         let state = lock(&self.state);
         let backing = if domain == PRIVATE { Some(Backing::Private) } else { state.backing[domain as usize] };

@@ -9,7 +9,8 @@ use std::sync::{Arc, Mutex, Weak};
 
 use crate::sync::lock;
 
-/// Bytes at the end of each slot that belong to no frame: a node that writes beyond its output into the next slot changes them.
+/// Bytes at the end of each slot that belong to no frame: a node that writes beyond its output into the next slot
+/// changes them.
 pub(super) const CANARY_BYTES: usize = 16;
 const CANARY: [u64; CANARY_BYTES / 8] = [0x5bd1_e995_c6a4_a793, 0x9e37_79b9_7f4a_7c15];
 
@@ -40,7 +41,7 @@ pub(super) struct Pool {
     pub base: *mut u8,
     pub bits: u32,
     pub references: Box<[AtomicU32]>,
-    /// How often each slot was handed out, wrapping.
+    /// Number of uses of each slot, wrapping.
     pub uses: Box<[AtomicU32]>,
     free: Mutex<Free>,
 }

@@ -1,6 +1,7 @@
-//! What a change of the graph sets and the running call reads: policy, parameter values, a new instance.
+//! Data set by a change of the graph and read by the running call: policy, parameter values, a new instance.
 //!
-//! The fields are private: every writer advances the [`ConfigEpoch`] of the node, so that a running call cannot miss a change.
+//! The fields are private: every writer advances the [`ConfigEpoch`] of the node, so that a running call cannot miss a
+//! change.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};

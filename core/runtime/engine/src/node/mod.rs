@@ -201,7 +201,7 @@ impl NodeRuntime {
         Exec::new(self.node_type, &self.rules, ranges, self.snapshot(), Arc::clone(&self.stats.time))
     }
 
-    /// What to do after a fault.
+    /// Next step after a fault.
     pub fn on_fault(&self) -> OnFault {
         self.config.on_fault()
     }
@@ -233,8 +233,8 @@ impl NodeRuntime {
         self.config.put_replacement(&self.config_epoch, (instance, snapshot))
     }
 
-    /// Hands over an instance that a restart opened, unless the restart is outdated or an instance with newer values waits. Returns the
-    /// instance that the caller closes: the one given or one that waited.
+    /// Hands over an instance that a restart opened, unless the restart is outdated or an instance with newer values
+    /// waits. Returns the instance that the caller closes: the one given or one that waited.
     #[must_use]
     pub fn install_restarted(&self, instance: Instance, restart: u64) -> Option<Instance> {
         self.config.put_restarted(&self.config_epoch, instance, || self.recovery.is_outdated(restart))

@@ -1,4 +1,4 @@
-//! What the calls of a node publish: sizes, metrics, counts of faults.
+//! Published data of a node's calls: sizes, metrics, counts of faults.
 //!
 //! The running call writes; reports, previews and the scheduler read.
 

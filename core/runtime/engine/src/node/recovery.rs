@@ -1,7 +1,7 @@
 //! The failures of a node and its restarts.
 //!
-//! The running call reports a failure; the restart thread takes the failed instances and opens a new one; the watchdog counts calls that it
-//! abandoned. The fields are private, so that each writer goes through an operation with a name.
+//! The running call reports a failure; the restart thread takes the failed instances and opens a new one; the watchdog
+//! counts calls that it abandoned. The fields are private, so that each writer goes through an operation with a name.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
@@ -17,7 +17,7 @@ pub(crate) struct Recovery {
     broken: Mutex<Vec<Instance>>,
     /// Saved state of a failed source: its next instance continues there.
     position: Mutex<Option<Vec<u8>>>,
-    /// Where an isolated source was after its last tick: a process that died cannot be asked.
+    /// Position of an isolated source after its last tick: a process that died cannot be asked.
     kept_position: Mutex<Option<Vec<u8>>>,
     restart_requested: AtomicBool,
     /// A restart would not cure the last error.

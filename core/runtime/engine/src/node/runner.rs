@@ -76,7 +76,8 @@ impl Courtesy {
     }
 }
 
-/// The node's own thread. The thread registers itself and parks here; any thread may wake it; a change of the graph retires it.
+/// The node's own thread. The thread registers itself and parks here; any thread may wake it; a change of the graph
+/// retires it.
 pub(crate) struct Runner {
     thread: Mutex<Option<std::thread::Thread>>,
     courtesy: Courtesy,

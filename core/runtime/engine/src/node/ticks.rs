@@ -11,7 +11,7 @@ pub(crate) struct SourceTicks {
     /// Newest capture time, `i64::MIN` before the first tick.
     last_capture_ns: AtomicI64,
     made: AtomicU64,
-    /// How many of them have no frame although a node reads one.
+    /// Number of them without a frame although a node reads one.
     empty: AtomicU64,
     /// Arrival times of the newest ticks, `i64::MIN` for none; empty for a node that is not a source.
     arrived_ns: Box<[AtomicI64]>,

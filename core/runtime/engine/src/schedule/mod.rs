@@ -1,7 +1,7 @@
 //! Runs ticks through the plan.
 //!
-//! The thread that runs a node has its join marked as running and owns its `Exec`. The plan is loaded for every node that starts: a node
-//! only starts after its region admitted a tick, and a region with a tick inside is never changed.
+//! The thread that runs a node has its join marked as running and owns its `Exec`. The plan is loaded for every node
+//! that starts: a node only starts after its region admitted a tick, and a region with a tick inside is never changed.
 
 mod take;
 
@@ -96,8 +96,8 @@ impl Ready {
         self.len += 1;
     }
 
-    /// Sends all nodes to their threads except one whose chain takes at most `allowance_ns`, which the caller runs itself: an urgent one, if there
-    /// is one, a patient one only if no urgent task waits.
+    /// Sends all nodes to their threads except one whose chain takes at most `allowance_ns`, which the caller runs
+    /// itself: an urgent one, if there is one, a patient one only if no urgent task waits.
     pub fn dispatch_ready(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
         let nodes = &self.nodes[..self.len];
         let fits = |node: &usize| {
@@ -116,7 +116,7 @@ impl Ready {
     }
 }
 
-/// What a node does after an attempt to take its next tick.
+/// Next step of a node after an attempt to take its next tick.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Next {
     Run,
@@ -149,8 +149,9 @@ impl Shared {
         }
     }
 
-    /// Runs a node and its successors on this thread; `false` if the watchdog abandoned the thread. A worker has no time limit
-    /// (`u64::MAX`); a node's own thread runs other chains only as long as they are known to fit into its allowance.
+    /// Runs a node and its successors on this thread; `false` if the watchdog abandoned the thread. A worker has no
+    /// time limit (`u64::MAX`); a node's own thread runs other chains only as long as they are known to fit into its
+    /// allowance.
     pub fn run(&self, node: usize, scratch: &mut Scratch, mut allowance_ns: u64) -> bool {
         let is_worker = allowance_ns == u64::MAX;
         let mut current = node;
@@ -177,7 +178,8 @@ impl Shared {
         }
     }
 
-    /// Runs one staged tick of a node and its inline chain. Returns whether the next tick is staged, `None` if a call was abandoned.
+    /// Runs one staged tick of a node and its inline chain. Returns whether the next tick is staged, `None` if a call
+    /// was abandoned.
     fn run_tick(&self, plan: &Plan, node: usize, scratch: &mut Scratch, ready: &mut Ready) -> Option<bool> {
         let runtime = &plan.runtimes[node];
         let staged = {
@@ -263,8 +265,8 @@ impl Shared {
         }
     }
 
-    /// Runs the inline readers of the outputs in `scratch.made[0]`, delivers the outputs of the last one and notifies the region. Returns when
-    /// the last call ended, `None` if one was abandoned.
+    /// Runs the inline readers of the outputs in `scratch.made[0]`, delivers the outputs of the last one and notifies
+    /// the region. Returns when the last call ended, `None` if one was abandoned.
     fn chain(
         &self,
         plan: &Plan,
@@ -331,7 +333,8 @@ impl Shared {
         Some(now_ns)
     }
 
-    /// Finishes a tick from a node on whose call was abandoned: its outputs are empty, and the rest of its chain is skipped.
+    /// Finishes a tick from a node on whose call was abandoned: its outputs are empty, and the rest of its chain is
+    /// skipped.
     pub fn skip_from(&self, plan: &Plan, node: usize, tick: Tick, ready: &mut Ready) {
         let mut last = node;
         while let Some(inline) = plan.wiring[last].inline {
@@ -478,8 +481,9 @@ impl Shared {
         self.go_on(plan, node, next, ready);
     }
 
-    /// Delivers to the successor of a node that a change replaced while its producer, in a region that the change does not hold, was in a call
-    /// under the plan before. The producer's readers are the same in both plans: otherwise the change would hold its region.
+    /// Delivers to the successor of a node that a change replaced while its producer, in a region that the change does
+    /// not hold, was in a call under the plan before. The producer's readers are the same in both plans: otherwise the
+    /// change would hold its region.
     #[cold]
     fn arrive_at_successor(&self, reader: &Reader, frame: FrameRef) {
         // The change holds this lock until its plan is stored.
@@ -577,8 +581,8 @@ impl Shared {
     }
 }
 
-/// Prefetches what the next nodes of a chain will touch, each step as early as its address is known: after a pause, or in a long
-/// chain, it is in no fast cache.
+/// Prefetches what the next nodes of a chain will touch, each step as early as its address is known: after a pause, or
+/// in a long chain, it is in no fast cache.
 #[inline]
 fn prefetch_next(links: &[Link], at: usize) {
     if let Some(link) = links.get(at + 1) {

@@ -66,7 +66,7 @@ impl<'a> Checker<'a> {
         ports.into_iter().map(move |port| PathBuf::from(text.replace(PORT, port)))
     }
 
-    /// What a parameter that writes nothing may read: a path, or the texts of a list that may name files.
+    /// Files that a parameter without output may read: a path, or the texts of a list that may name files.
     fn read_files(&self, declared: &Param, value: &ParamValue) -> std::vec::IntoIter<PathBuf> {
         let paths: Vec<PathBuf> = match value {
             ParamValue::Path(path) => vec![tidy(path)],

@@ -68,8 +68,8 @@ impl<'a> Checker<'a> {
         firsts.into_iter().filter_map(|first| min_cycle(&graph, first, &part_of)).collect()
     }
 
-    /// The link of a cycle that is best delayed: into an optional input if there is one, and from a later node of the file
-    /// to an earlier one.
+    /// The link of a cycle that is best delayed: into an optional input if there is one, and from a later node of the
+    /// file to an earlier one.
     fn back_edge(&self, cycle: &[usize]) -> usize {
         let badness = |&&i: &&usize| {
             let link = &self.links[i];

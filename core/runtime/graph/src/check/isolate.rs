@@ -17,7 +17,8 @@ impl GraphText {
         node.on.as_ref().or(node.isolate.as_ref()).or_else(of_plugin)
     }
 
-    /// The group that a node runs in: as [`Self::group_of`], else, if another program runs it, a group of its plugin's name.
+    /// The group that a node runs in: as [`Self::group_of`], else, if another program runs it, a group of its plugin's
+    /// name.
     pub(crate) fn group_name<'t>(&'t self, node: &'t NodeText, node_type: &'t NodeType) -> Option<&'t str> {
         let of_plugin = || node_type.interpreter.as_ref().map(|_| node_type.plugin.as_str());
         self.group_of(node, &node_type.plugin).map(|group| group.value.as_str()).or_else(of_plugin)
@@ -29,7 +30,7 @@ impl GraphText {
         self.machines.iter().rev().find(|known| known.name.value == *name).map(|known| &known.machine)
     }
 
-    /// What a group may not do.
+    /// Denied permissions of a group.
     pub(crate) fn denied_to(&self, group: &str) -> Deny {
         let entry = self.deny.iter().rev().find(|(name, _)| name.value == group);
         entry.map(|(_, deny)| *deny).unwrap_or_default()

@@ -70,7 +70,8 @@ impl<'a> Checker<'a> {
         Wiring { connections, outputs_read: read.fold(0, |bits, port| bits | port_bit(port)) }
     }
 
-    /// Where the value of a parameter was given: the last setting of the command line, else the file; `None` when its default holds.
+    /// Origin of a parameter's value: the last setting of the command line, else the file; `None` when its default
+    /// holds.
     pub(super) fn given(&self, node: usize, param: &str) -> Option<&'a Range<usize>> {
         let text = self.text;
         let id = self.id(node);

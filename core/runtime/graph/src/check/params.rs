@@ -13,7 +13,7 @@ use crate::value::{Kind, Value};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// What is wrong with a value.
+/// A problem of a value.
 struct Wrong {
     code: &'static str,
     span: Range<usize>,

@@ -267,7 +267,8 @@ impl<'g> FileEdits<'g> {
         Ok(())
     }
 
-    /// The parts that have the nodes of `part`: itself and the others of its file; the graph file's level for an empty name.
+    /// The parts that have the nodes of `part`: itself and the others of its file; the graph file's level for an empty
+    /// name.
     fn level_users(&self, part: &str) -> Vec<String> {
         if part.is_empty() { vec![String::new()] } else { self.users(part) }
     }

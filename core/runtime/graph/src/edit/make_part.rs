@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 use toml_edit::{Array, InlineTable, Item, Table, Value as EditValue};
 
-/// What a part under construction offers: name, targets (`node.port`), and the value that the graph hands to it.
+/// Offer of a part under construction: name, targets (`node.port`), and the value that the graph hands to it.
 #[derive(Default)]
 struct Ports {
     entries: Vec<(String, Vec<String>, Option<EditValue>)>,
@@ -53,7 +53,8 @@ impl FileEdits<'_> {
     /// rewritten for the folder of the new file. Returns the part's whole name.
     ///
     /// # Errors
-    /// The nodes are on several levels or an overlay's, the name is taken, or a value cannot cross the boundary of a part.
+    /// The nodes are on several levels or an overlay's, the name is taken, or a value cannot cross the boundary of a
+    /// part.
     pub fn make_part(
         &mut self,
         catalog: &Catalog,

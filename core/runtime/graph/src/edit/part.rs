@@ -42,7 +42,7 @@ impl GraphEdit {
         self.part_ports(kind).into_iter().flat_map(|ports| ports.iter()).map(|(name, _)| name.to_owned()).collect()
     }
 
-    /// What a name of the part stands for, each as `node.port`.
+    /// Targets of a name of the part, each as `node.port`.
     pub fn part_targets(&self, kind: PartPortKind, name: &str) -> Vec<String> {
         let item = self.part_ports(kind).and_then(|ports| ports.get(name));
         match item.and_then(Item::as_value) {

@@ -1,4 +1,4 @@
-//! What a file declares for its users: arguments of a graph, the names that a part offers.
+//! Declarations of a file for its users: arguments of a graph, the names that a part offers.
 
 use super::{Reader, is_node_id};
 use crate::args::{ArgKind, ArgText};

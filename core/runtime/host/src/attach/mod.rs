@@ -6,8 +6,8 @@
 //! frames carry the messages of [`message`].
 //!
 //! Packets cross as the engine has them, reduced to the size at which they are shown, and the window renders them as it
-//! renders those of its own engine. An output whose last packets the window has not taken yet sends none, so a slow
-//! network shows fewer pictures and no old ones.
+//! renders those of a local engine. An output whose last packets the window has not taken yet sends none, so a slow
+//! network shows fewer images and no old ones.
 //!
 //! A window reads. It edits where the running side allows its machine to (`--allow-edit`), within [`rules`]: it never
 //! sets or releases an emergency stop, and names no new folder of plugins.

@@ -56,7 +56,8 @@ pub struct Outgoing {
 }
 
 impl Outgoing {
-    /// The packet `frame` of an output for a window that shows it at most `max_width` px wide. `None` for one that is damaged or too long.
+    /// The packet `frame` of an output for a window that shows it at most `max_width` px wide. `None` for one that is
+    /// damaged or too long.
     pub fn of(
         output: (&str, &str),
         frame: &FrameRef,

@@ -12,7 +12,7 @@ use panoscope_graph::Listener;
 /// Environment variable that names the folder with the keys of this machine.
 pub const KEYS_VARIABLE: &str = "PANOSCOPE_KEYS";
 
-/// What this crate can listen on, off by default.
+/// Ways of listening, off by default.
 pub const LISTENERS: &[Listener] = &[Listener {
     option: "run --attachable ADDRESS",
     what: "zenoh, windows of other machines",

@@ -7,7 +7,7 @@ pub const STOPS: [&str; 2] = ["emergency_stop", "reset"];
 /// Keys of a graph file that name code or machines, or permissions of code.
 const CODE: [&str; 4] = ["plugin_paths", "isolate", "deny", "machines"];
 
-/// Why an edit is refused.
+/// A refused edit.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RuleError {
     /// It is not TOML.

@@ -41,10 +41,10 @@ const MAX_FAULTS: usize = 200;
 /// Maximum number of waiting edits; further ones are refused.
 const MAX_EDITS: usize = 16;
 
-/// How windows may attach to a graph.
+/// Settings for windows that attach to a graph.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Where to listen: `tls/IP:PORT`, or `tcp/127.0.0.1:PORT` inside one machine.
+    /// Address to listen on: `tls/IP:PORT`, or `tcp/127.0.0.1:PORT` inside one machine.
     pub address: String,
     /// Name of this machine for windows; default: the name in its keys.
     pub name: Option<String>,

@@ -39,7 +39,7 @@ pub enum TargetError {
     File {
         /// The file.
         file: PathBuf,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
 }

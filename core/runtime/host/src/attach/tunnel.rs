@@ -1,8 +1,10 @@
-//! Frames between a program and the `panoscope-machine` that it started: length (32 bits, little-endian), kind, session, bytes.
+//! Frames between a program and the `panoscope-machine` that it started: length (32 bits, little-endian), kind,
+//! session, bytes.
 
 use std::io::{self, Read, Write};
 
-/// First argument of `panoscope-machine` that makes it listen for windows: `attachable NAME ADDRESS KEYS PLAINTEXT HOST...`.
+/// First argument of `panoscope-machine` that makes it listen for windows: `attachable NAME ADDRESS KEYS PLAINTEXT
+/// HOST...`.
 pub const ATTACHABLE: &str = "attachable";
 /// First argument of `panoscope-machine` that makes it connect a window: `attach ADDRESS TIMEOUT_MS PLAINTEXT NAME`.
 pub const ATTACH: &str = "attach";
@@ -53,7 +55,7 @@ impl Kind {
 /// A frame of the tunnel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
-    /// What it is.
+    /// Kind of the item.
     pub kind: Kind,
     /// The window that it belongs to; 0 on the window's side.
     pub session: u32,

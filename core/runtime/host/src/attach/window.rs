@@ -61,7 +61,7 @@ pub struct State {
     pub problem: String,
     /// Name under which the other machine knows this one.
     pub here: String,
-    /// How often the connection was lost.
+    /// Number of lost connections.
     pub losses: u64,
     /// Time of the last change of `contact`.
     pub since: Option<Instant>,

@@ -1,4 +1,4 @@
-//! What the log records.
+//! Events of the log.
 
 use std::fmt;
 
@@ -26,8 +26,8 @@ pub enum ClipState {
     Failed,
 }
 
-/// An event of the theatre, or of the log itself. No field holds what a user types: clips and stills are named by their numbers, faults by
-/// their causes.
+/// An event of the theatre, or of the log itself. No field holds what a user types: clips and stills are named by their
+/// numbers, faults by their causes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
@@ -96,7 +96,7 @@ pub enum Event {
     CamerasOnly,
     /// The process that ran the graph ended; another one shows the cameras and starts the graph again.
     ProcessEnded {
-        /// How it ended.
+        /// Its end.
         cause: String,
     },
     /// The user started the whole graph again.

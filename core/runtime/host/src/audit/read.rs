@@ -16,7 +16,7 @@ pub struct Entry {
     pub number: u64,
     /// When it happened, in ms since 1970.
     pub unix_ms: i64,
-    /// What happened.
+    /// The event.
     pub event: Event,
 }
 

@@ -27,7 +27,8 @@ const HEAD_BYTES: usize = 64;
 /// Maximum length of a message, bytes.
 pub(crate) const MAX_MESSAGE_BYTES: usize = LANE_BYTES - HEAD_BYTES;
 
-/// A side spins for its turn while its waits are usually shorter than this. Waking a thread that sleeps takes 15 to 40 us on an idle core.
+/// A side spins for its turn while its waits are usually shorter than this. Waking a thread that sleeps takes 15 to 40
+/// us on an idle core.
 const SHORT_WAIT_NS: u64 = 80_000;
 /// Maximum time of a spin.
 const MAX_SPIN_NS: u64 = 100_000;

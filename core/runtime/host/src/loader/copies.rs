@@ -19,7 +19,7 @@ use crate::loader::sealed::{Fingerprint, SealedWriter};
 /// Size of the blocks that are compared.
 const CHUNK_BYTES: usize = 1 << 16;
 
-/// How a [`Loaded`] was made; each way has separate node types.
+/// Origin of a [`Loaded`]; each has separate node types.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Way {
     /// The library was mapped into this process.

@@ -1,7 +1,7 @@
 //! Checks a plugin's ELF file before it is loaded, and reads its Panoscope note.
 //!
-//! Mapping a truncated shared object ends in SIGBUS, and constructors run as soon as it is loaded. Completeness and ABI version are
-//! therefore checked by reading the file. Only 64-bit ELF is supported.
+//! Mapping a truncated shared object ends in SIGBUS, and constructors run as soon as it is loaded. Completeness and ABI
+//! version are therefore checked by reading the file. Only 64-bit ELF is supported.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -24,7 +24,7 @@ pub struct Note {
     pub node_types: Vec<String>,
 }
 
-/// Why a file cannot be used as a plugin.
+/// A file that cannot be used as a plugin.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ElfError {
     /// Not an ELF shared object of this machine.
@@ -38,7 +38,7 @@ pub enum ElfError {
     CutOff {
         /// The missing part.
         what: &'static str,
-        /// Where that part would end.
+        /// End of that part in the file.
         end: u64,
         /// Length of the file in bytes.
         len: u64,

@@ -20,7 +20,7 @@ pub enum NoPython {
     /// The installation has no Python package.
     #[error("the Python package `panoscope` is missing in {folder}", folder = folder.display())]
     Package {
-        /// Where it should be.
+        /// Expected path.
         folder: PathBuf,
     },
     /// The metadata in the file's head are not TOML.
@@ -47,7 +47,7 @@ pub enum LoadError {
     BadFile {
         /// The plugin's file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the problem.
         cause: ElfError,
     },
     /// Built for another ABI.
@@ -87,7 +87,7 @@ pub enum LoadError {
     Undescribed {
         /// The plugin's file.
         file: PathBuf,
-        /// What happened to the process.
+        /// Description of the process's end.
         cause: DescribeError,
     },
     /// A Python file without node classes.
@@ -109,7 +109,7 @@ pub enum LoadError {
     BadDescriptor {
         /// The plugin's file.
         file: PathBuf,
-        /// What is wrong with the descriptor.
+        /// Description of the problem.
         cause: String,
     },
 }

@@ -1,7 +1,7 @@
 //! Keys that sign locks, and the keys that an installation trusts.
 //!
-//! A key is an Ed25519 key in a text file of one line: `panoscope-secret-key 1 HEX` or `panoscope-public-key 1 HEX`. Lines that begin with `#`
-//! are comments.
+//! A key is an Ed25519 key in a text file of one line: `panoscope-secret-key 1 HEX` or `panoscope-public-key 1 HEX`.
+//! Lines that begin with `#` are comments.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
@@ -47,7 +47,7 @@ pub enum KeyError {
         file: PathBuf,
         /// Kind of key that was expected.
         expected: &'static str,
-        /// What is wrong with the file.
+        /// Description of the problem.
         reason: &'static str,
     },
     /// Other users may read the secret key.
@@ -229,7 +229,8 @@ pub struct Trust {
 }
 
 impl Trust {
-    /// Folders with trusted keys (`*.pub`): `/etc/panoscope/keys`, and `panoscope/keys` in the user's configuration folder.
+    /// Folders with trusted keys (`*.pub`): `/etc/panoscope/keys`, and `panoscope/keys` in the user's configuration
+    /// folder.
     pub fn folders() -> Vec<PathBuf> {
         let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let config = absolute("XDG_CONFIG_HOME").or_else(|| Some(absolute("HOME")?.join(".config")));

@@ -163,8 +163,8 @@ pub struct Changed {
     pub plugins: bool,
 }
 
-/// Polls a graph file and the plugin folders for changes. A change is reported once the files are the same in two polls in a row, so that no
-/// half-written file is used.
+/// Polls a graph file and the plugin folders for changes. A change is reported once the files are the same in two polls
+/// in a row, so that no half-written file is used.
 pub struct FileWatch {
     path: PathBuf,
     /// Parts and overlays.
@@ -234,7 +234,7 @@ impl FileWatch {
         std::fs::read_to_string(&self.path)
     }
 
-    /// What changed since the last call that returned a change. Call it about every 200 ms.
+    /// Changes since the last call that returned a change. Call it about every 200 ms.
     pub fn poll(&mut self) -> Changed {
         let now = stamps(&self.path, &self.files, &self.folders);
         let stable = now == self.polled;

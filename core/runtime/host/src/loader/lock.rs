@@ -56,7 +56,7 @@ pub enum LockError {
     Damaged {
         /// The lock file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the problem.
         reason: String,
     },
     /// A required lock is missing.
@@ -123,7 +123,7 @@ pub struct Difference {
     pub kind: Kind,
     /// Name of the file, as in [`LockedFile::name`].
     pub name: String,
-    /// What changed.
+    /// Description of the change.
     pub change: Change,
 }
 
@@ -276,7 +276,8 @@ impl Lock {
         self.differences_among(&now.files, |_| true)
     }
 
-    /// The differences between the files of this lock whose role `is_among` accepts, and `now`, which has all files of these roles.
+    /// The differences between the files of this lock whose role `is_among` accepts, and `now`, which has all files of
+    /// these roles.
     pub(crate) fn differences_among(&self, now: &[LockedFile], is_among: impl Fn(Kind) -> bool) -> Vec<Difference> {
         let find = |list: &'_ [LockedFile], file: &LockedFile| {
             list.iter().find(|f| (f.kind, &f.name) == (file.kind, &file.name)).cloned()

@@ -56,7 +56,8 @@ pub fn describe_verified(plugin: &PluginFile, sha256: Option<&str>, limit: Durat
     copy.loaded(Way::Described(kept.clone()), || describe(plugin, &copy.path, limit, kept.as_deref()))
 }
 
-/// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified it.
+/// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified
+/// it.
 pub(crate) fn load_image(image: &Path, file: &Path) -> Result<Loaded, LoadError> {
     let PluginFile { note, .. } = inspect(image)?;
     map(&PluginFile { file: file.to_owned(), note, python: None }, image)

@@ -169,7 +169,8 @@ fn declared(text: &str) -> Result<Option<String>, NoPython> {
     Ok(python().map(str::to_owned))
 }
 
-/// Names of the node types of a file: of each class behind a decorator `@panoscope.node(...)`, under whatever name the package was imported.
+/// Names of the node types of a file: of each class behind a decorator `@panoscope.node(...)`, under whatever name the
+/// package was imported.
 fn node_types(text: &str) -> Vec<String> {
     let mut names = Vec::new();
     let mut decorator: Option<String> = None;

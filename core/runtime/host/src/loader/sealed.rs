@@ -147,7 +147,8 @@ impl SealedWriter {
     }
 }
 
-/// Path under which this process and its children open a file of this process. It is valid as long as the file stays open.
+/// Path under which this process and its children open a file of this process. It is valid as long as the file stays
+/// open.
 pub fn path_of(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd()))
 }

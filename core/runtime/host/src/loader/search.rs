@@ -50,7 +50,7 @@ pub struct Loader {
     isolated: Mutex<BTreeSet<String>>,
     /// Plugins that this process never loads, whatever a graph says.
     never_loaded: BTreeSet<String>,
-    /// How long a plugin may take to describe itself, if not [`MAX_DESCRIBE`].
+    /// Maximum time for a plugin to describe itself, if not [`MAX_DESCRIBE`].
     describe_limit: Option<Duration>,
     loaded: Mutex<BTreeMap<LoadKey, Result<Loaded, PluginProblem>>>,
 }

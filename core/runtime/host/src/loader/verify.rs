@@ -2,9 +2,10 @@
 //!
 //! The order guarantees this:
 //!
-//! 1. The graph's files, the plugins, their libraries and the programs are compared on disk. No code of a plugin has run so far.
-//! 2. The plugins are loaded, each from a sealed copy whose hash is compared once more before it is mapped. Now their node types say which
-//!    parameters name files.
+//! 1. The graph's files, the plugins, their libraries and the programs are compared on disk. No code of a plugin has
+//!    run so far.
+//! 2. The plugins are loaded, each from a sealed copy whose hash is compared once more before it is mapped. Now their
+//!    node types say which parameters name files.
 //! 3. Those files are copied into sealed memory, and the copies are compared. ONNX Runtime is loaded from its copy.
 //! 4. Nodes get the paths of the copies instead of those of the files, whenever they open.
 
@@ -140,7 +141,8 @@ impl Seal {
     /// Makes the nodes of a graph read the sealed copies of their files.
     ///
     /// # Errors
-    /// A parameter names a file that was not compared with the lock or differs from it; the graph must then not be used.
+    /// A parameter names a file that was not compared with the lock or differs from it; the graph must then not be
+    /// used.
     pub fn apply(&self, graph: &mut Graph, catalog: &Catalog) -> Result<(), NotLocked> {
         let mut files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
         files.compare_withheld(&self.folder);
@@ -214,8 +216,8 @@ impl SealedFiles {
     }
 }
 
-/// The names under which a file is known: absolute without `.` and `..`, and with links followed. The first also finds the copy of a file that
-/// was removed or replaced since.
+/// The names under which a file is known: absolute without `.` and `..`, and with links followed. The first also finds
+/// the copy of a file that was removed or replaced since.
 fn names_of(file: &Path) -> impl Iterator<Item = PathBuf> {
     let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     let mut plain = PathBuf::new();
@@ -230,7 +232,8 @@ fn names_of(file: &Path) -> impl Iterator<Item = PathBuf> {
     std::iter::once(plain).chain(real)
 }
 
-/// Copies a file, or a model with the files of its weights, into sealed memory; returns the copy's path and the fingerprint of each file.
+/// Copies a file, or a model with the files of its weights, into sealed memory; returns the copy's path and the
+/// fingerprint of each file.
 fn copy(group: &[DataFile]) -> std::io::Result<(PathBuf, Vec<Fingerprint>)> {
     let mut writer = SealedWriter::new(&group[0].path)?;
     let mut fingerprints = vec![writer.append_file(&group[0].path)?];

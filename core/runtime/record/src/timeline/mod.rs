@@ -90,7 +90,8 @@ impl Calls {
     }
 }
 
-/// Keeps the newest calls and dropped ticks of a run: by default about a million calls, which is several minutes of a large graph.
+/// Keeps the newest calls and dropped ticks of a run: by default about a million calls, which is several minutes of a
+/// large graph.
 #[derive(Debug)]
 pub struct Timeline {
     calls: Mutex<Calls>,

@@ -90,13 +90,13 @@ impl Folder {
         self.files.iter().filter(is_packed).map(|name| self.name_of(name))
     }
 
-    /// Pictures of a folder inside, in the order of their numbers.
+    /// Images of a folder inside, in the order of their numbers.
     pub fn pictures(&self, inner: &str) -> Vec<PathBuf> {
         pictures_in(&self.at(inner))
     }
 }
 
-/// Pictures of a folder, in the order of their numbers; empty if it cannot be read.
+/// Images of a folder, in the order of their numbers; empty if it cannot be read.
 pub(crate) fn pictures_in(folder: &Path) -> Vec<PathBuf> {
     pictures::image_files(&folder.join("*")).unwrap_or_default()
 }
@@ -116,7 +116,7 @@ pub(crate) fn by_stem(files: &[PathBuf]) -> BTreeMap<String, &PathBuf> {
     files.iter().map(|file| (stem(file), file)).collect()
 }
 
-/// For each picture the file of its name.
+/// For each image the file of its name.
 pub(crate) fn matching(pictures: &[PathBuf], files: &[PathBuf]) -> Vec<Option<PathBuf>> {
     let by_stem = by_stem(files);
     pictures.iter().map(|picture| by_stem.get(&stem(picture)).map(|file| (*file).clone())).collect()
@@ -137,7 +137,7 @@ pub(crate) fn paired(left: &[PathBuf], right: &[PathBuf]) -> (Vec<PathBuf>, Vec<
     (lefts, rights, remark)
 }
 
-/// Whether a name is that of a picture.
+/// Whether a name is that of an image.
 pub(crate) fn is_picture(name: &str) -> bool {
     is_image(Path::new(name))
 }

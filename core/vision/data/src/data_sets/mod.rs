@@ -1,6 +1,6 @@
 //! Folder layouts of public data sets: which images, calibration, ground truth and labels belong together.
 //!
-//! [`find`] searches a folder and lists its [`Sequence`]s; nothing is unpacked and no picture is decoded. Files are
+//! [`find`] searches a folder and lists its [`Sequence`]s; nothing is unpacked and no image is decoded. Files are
 //! read later: calibrations by [`CalibrationFiles::read`], maps, points, masks and boxes by `crate::truth`. Each file
 //! in `layouts` describes one data set and names its source. This module does not know graphs.
 

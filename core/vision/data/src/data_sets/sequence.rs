@@ -18,7 +18,7 @@ pub struct Sequence {
     pub name: String,
     /// Its folder.
     pub folder: PathBuf,
-    /// The pictures.
+    /// The images.
     pub pictures: Pictures,
     /// Columns and rows of the first stored image; `None` for videos.
     pub size: Option<(u32, u32)>,
@@ -37,7 +37,7 @@ pub struct Sequence {
 /// The files of the views.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Pictures {
-    /// One file for each picture; `right` has as many as `left`, or none if there is only one view.
+    /// One file for each image; `right` has as many as `left`, or none if there is only one view.
     Files {
         /// Left view.
         left: Vec<PathBuf>,
@@ -48,12 +48,12 @@ pub enum Pictures {
     Video {
         /// The file.
         file: PathBuf,
-        /// Where the views are in its pictures.
+        /// Positions of the views in its images.
         stacked: Stacked,
     },
 }
 
-/// Where the views of a video are.
+/// Position of the views of a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stacked {
     /// The left view above the right one.
@@ -65,14 +65,14 @@ pub enum Stacked {
 /// Files that state the cameras.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CalibrationFiles {
-    /// One list of files for the whole sequence, or one for each picture. A list is empty if an image has none.
+    /// One list of files for the whole sequence, or one for each image. A list is empty if an image has none.
     pub sets: Vec<Vec<PathBuf>>,
     /// The cameras of a KITTI file that belong to the views.
     pub kitti: Option<KittiCameras>,
 }
 
 impl CalibrationFiles {
-    /// One set for all pictures.
+    /// One set for all images.
     pub fn one(files: Vec<PathBuf>) -> Self {
         Self { sets: vec![files], kitti: None }
     }
@@ -82,12 +82,12 @@ impl CalibrationFiles {
         self.sets.len() > 1
     }
 
-    /// Index of the set of a picture.
+    /// Index of the set of an image.
     pub fn set_of(&self, picture: usize) -> usize {
         if self.is_per_picture() { picture } else { 0 }
     }
 
-    /// Reads the calibration of a picture; `None` if it has none.
+    /// Reads the calibration of an image; `None` if it has none.
     ///
     /// # Errors A file is missing or damaged; the error names it.
     pub fn read(&self, picture: usize) -> Result<Option<Calibration>, FileError> {
@@ -129,7 +129,7 @@ impl Holds {
 /// True maps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
-    /// For each picture its file, if it has one. May be shorter than the images; the rest has none.
+    /// For each image its file, if it has one. May be shorter than the images; the rest has none.
     pub files: Vec<Option<PathBuf>>,
     /// Content of the files.
     pub holds: Holds,
@@ -138,12 +138,12 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Truth for the pictures that have a file; `None` when none has.
+    /// Ground truth for the images that have a file; `None` when none has.
     pub(crate) fn of(files: Vec<Option<PathBuf>>, holds: Holds, divisor: f32) -> Option<Self> {
         files.iter().any(Option::is_some).then_some(Self { files, holds, divisor })
     }
 
-    /// Number of pictures with truth.
+    /// Number of images with ground truth.
     pub fn count(&self) -> usize {
         self.files.iter().flatten().count()
     }
@@ -152,19 +152,19 @@ impl Truth {
 /// True objects.
 #[derive(Clone, Debug)]
 pub enum Labels {
-    /// VOC or YOLO files: for each picture its file, if it has one.
+    /// VOC or YOLO files: for each image its file, if it has one.
     Boxes {
         /// The files.
         files: Vec<Option<PathBuf>>,
         /// Names of the classes, in the order of the data set, if it states one.
         classes: Vec<String>,
     },
-    /// Pictures of classes.
+    /// Images of classes.
     Masks(Masks),
 }
 
 impl Labels {
-    /// Number of pictures with labels.
+    /// Number of images with labels.
     pub fn count(&self) -> usize {
         match self {
             Self::Boxes { files, .. } => files.iter().flatten().count(),
@@ -189,12 +189,12 @@ impl Labels {
     }
 }
 
-/// Pictures of classes.
+/// Images of classes.
 #[derive(Clone, Debug)]
 pub struct Masks {
     /// Names of the classes in the data set.
     pub classes: Vec<String>,
-    /// For each picture its masks; empty if it has no labels.
+    /// For each image its masks; empty if it has no labels.
     pub files: Vec<Vec<MaskFile>>,
 }
 
@@ -217,7 +217,7 @@ pub struct MaskLayer {
 }
 
 impl Sequence {
-    /// A sequence of picture files without anything else. `right` may be empty.
+    /// A sequence of image files without anything else. `right` may be empty.
     pub(crate) fn of_files(
         data_set: &'static str,
         name: String,
@@ -254,7 +254,7 @@ impl Sequence {
         Self { pictures: Pictures::Video { file, stacked }, ..whole }
     }
 
-    /// Number of pictures; `None` for videos, which must be opened to know.
+    /// Number of images; `None` for videos, which must be opened to know.
     pub fn count(&self) -> Option<usize> {
         match &self.pictures {
             Pictures::Files { left, .. } => Some(left.len()),

@@ -1,4 +1,4 @@
-//! Encoders of pictures, arrays, clouds and the fields of packets. Sinks write single outputs with them, exports whole
+//! Encoders of images, arrays, clouds and the fields of packets. Sinks write single outputs with them, exports whole
 //! recordings.
 //!
 //! Everything here writes to a stream or a text; callers choose the file names.

@@ -138,8 +138,9 @@ impl RawMap {
 /// Reads the map of a file; its extension selects the format.
 ///
 /// - NPY of two dimensions, f4 or f8; PFM of one channel
-/// - TIFF of 8, 16 or 32 bits without sign, or floats. Of three channels of floats the third one is taken: SCARED's points are x, y and z in mm of
-///   the raw left camera, and z is not the depth of the rectified view; [`crate::truth::points`] reads all three and moves them there
+/// - TIFF of 8, 16 or 32 bits without sign, or floats. Of three channels of floats the third one is taken: SCARED's
+///   points are x, y and z in mm of the raw left camera, and z is not the depth of the rectified view;
+///   [`crate::truth::points`] reads all three and moves them there
 /// - EXR: the only channel, or the one called Z, Y, V or depth; or three channels that hold the same
 /// - PNG of 8 or 16 bits, gray
 ///

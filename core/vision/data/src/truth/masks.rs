@@ -1,4 +1,4 @@
-//! Pictures of classes: each pixel has the colour or the number of its class. Their connected parts become boxes.
+//! Images of classes: each pixel has the colour or the number of its class. Their connected parts become boxes.
 
 use std::path::{Path, PathBuf};
 
@@ -88,7 +88,8 @@ impl MaskPicture {
         Some(Self { width, height, colours: rows.copied().collect() })
     }
 
-    /// Connected parts (by edges and corners) of the pixels of a class, from the top; those below `least` pixels are left out.
+    /// Connected parts (by edges and corners) of the pixels of a class, from the top; those below `least` pixels are
+    /// left out.
     pub fn parts(&self, code: &Code, least: usize) -> Vec<Part> {
         let is_set = |index: usize| match code {
             Code::Set => self.colours[index] != [0; 3],

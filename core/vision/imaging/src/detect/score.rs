@@ -1,14 +1,15 @@
 //! Average precision as computed by COCO's and by VOC's tools (Lin et al. 2014; Everingham et al. 2010).
 //!
-//! COCO: at most 100 finds per image and class, best first; each takes the free true object that it overlaps most; precision is read at 101 recalls;
-//! thresholds 0.50 to 0.95. Steps and ties follow `pycocotools`, so that both give the same numbers. VOC: at an overlap of
+//! COCO: at most 100 finds per image and class, best first; each takes the free true object that it overlaps most;
+//! precision is read at 101 recalls; thresholds 0.50 to 0.95. Steps and ties follow `pycocotools`, so that both give
+//! the same numbers. VOC: at an overlap of
 //! 0.5, a find belongs to the true object that it overlaps most, free or not; area under the whole curve.
 
 use super::mask::Mask;
 
 /// Overlap thresholds of COCO.
 pub const THRESHOLDS: [f64; 10] = [0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95];
-/// Maximum number of finds of a class in a picture.
+/// Maximum number of finds of a class in an image.
 const MAX_FINDS: usize = 100;
 
 /// A true object.
@@ -74,9 +75,9 @@ pub struct ClassScore {
     pub truths: usize,
     /// Finds that count, at the threshold 0.5.
     pub finds: usize,
-    /// COCO's AP at each threshold; NaN without truth.
+    /// COCO's AP at each threshold; NaN without ground truth.
     pub ap: [f64; 10],
-    /// VOC's AP at 0.5; NaN without truth.
+    /// VOC's AP at 0.5; NaN without ground truth.
     pub voc: f64,
     /// Recall and precision after each find, best first, at 0.5.
     pub curve: Vec<(f64, f64)>,
@@ -105,7 +106,7 @@ pub fn mean(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 impl Scores {
-    /// COCO's AP over 0.50 to 0.95, mean of the classes that the truth has.
+    /// COCO's AP over 0.50 to 0.95, mean of the classes in the ground truth.
     pub fn ap(&self) -> f64 {
         mean(self.classes.iter().flat_map(|c| c.ap))
     }
@@ -121,7 +122,7 @@ impl Scores {
     }
 }
 
-/// Finds of a class in a picture, best first, with their matches at each threshold.
+/// Finds of a class in an image, best first, with their matches at each threshold.
 pub(super) struct MatchedDetections {
     pub scores: Vec<f64>,
     /// Per threshold and detection: matched, ignored.
@@ -225,7 +226,7 @@ fn area(curve: &[(f64, f64)]) -> f64 {
     sum
 }
 
-/// Scores `finds` against `truths`, picture by picture.
+/// Scores `finds` against `truths`, image by image.
 pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape: Shape) -> Scores {
     let one = |class: usize| {
         let met: Vec<MatchedDetections> = truths
@@ -261,16 +262,16 @@ pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape:
     Scores { classes: (0..classes).map(one).collect() }
 }
 
-/// Finds of all pictures in the order of their scores, to be scored repeatedly on subsets of the images.
+/// Finds of all images in the order of their scores, to be scored repeatedly on subsets of the images.
 pub struct Ranking {
-    /// Per class: score, hit (COCO's rule at 0.5), picture.
+    /// Per class: score, hit (COCO's rule at 0.5), image.
     rows: Vec<Vec<(f64, bool, usize)>>,
-    /// Per class and picture: true objects that count.
+    /// Per class and image: true objects that count.
     truths: Vec<Vec<usize>>,
 }
 
 impl Ranking {
-    /// Ranks `finds`, picture by picture, by their boxes.
+    /// Ranks `finds`, image by image, by their boxes.
     pub fn new(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize) -> Self {
         let mut ranking = Self { rows: vec![Vec::new(); classes], truths: vec![Vec::new(); classes] };
         for class in 0..classes {
@@ -288,7 +289,7 @@ impl Ranking {
         ranking
     }
 
-    /// COCO's AP at 0.5 of each class when each picture counts `times` times; NaN without truth.
+    /// COCO's AP at 0.5 of each class when each image counts `times` times; NaN without ground truth.
     pub fn ap50(&self, times: &[u32]) -> Vec<f64> {
         let one = |(rows, truths): (&Vec<(f64, bool, usize)>, &Vec<usize>)| {
             let total: usize = truths.iter().zip(times).map(|(t, n)| t * *n as usize).sum();

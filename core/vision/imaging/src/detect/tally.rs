@@ -37,14 +37,14 @@ impl Rates {
     }
 }
 
-/// Detections and objects of the pictures so far.
+/// Detections and objects of the images so far.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     classes: Vec<ClassTally>,
 }
 
 impl Tally {
-    /// Adds a picture. Per class and image the 100 best detections are used, as in COCO.
+    /// Adds an image. Per class and image the 100 best detections are used, as in COCO.
     pub fn add(&mut self, truths: &[Object], finds: &[Find]) {
         let numbers = truths.iter().map(|t| t.class).chain(finds.iter().map(|f| f.class));
         let classes = numbers.max().map_or(0, |most| most + 1);

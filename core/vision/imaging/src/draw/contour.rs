@@ -24,7 +24,7 @@ pub struct Contour {
 }
 
 impl Contour {
-    /// How far each corner lies inside the surface: 1 inside, [`RIM`] on its rim.
+    /// Depth of each corner inside the surface: 1 inside, [`RIM`] on its rim.
     pub fn inside(&self) -> &[f32] {
         &self.inside
     }

@@ -39,7 +39,7 @@ pub struct Labels {
 }
 
 impl Labels {
-    /// Begins a picture of `width` x `height` pixels with all of its area free.
+    /// Begins an image of `width` x `height` pixels with all of its area free.
     pub fn begin(&mut self, width: usize, height: usize) {
         (self.width, self.height) = (width as f32, height as f32);
         self.taken.clear();
@@ -144,7 +144,7 @@ mod tests {
         labels
     }
 
-    /// Nothing that is taken overlaps, and from `first` on all lies in the picture.
+    /// Nothing that is taken overlaps, and from `first` on all lies in the image.
     fn all_apart(labels: &Labels, first: usize) {
         let taken = labels.taken();
         for (k, a) in taken.iter().enumerate() {

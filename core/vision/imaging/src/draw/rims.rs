@@ -29,7 +29,7 @@ const RIM_ROUNDS: usize = 6;
 /// Minimum number of the eight neighbours of a corner at a rim.
 const MIN_NEIGHBOURS: usize = 4;
 const MIN_AROUND: u8 = 12;
-/// Number of strips along the picture's edge per row of corners; a surface extends further inward than one strip.
+/// Number of strips along the image's edge per row of corners; a surface extends further inward than one strip.
 const STRIPS_PER_ROW: usize = 53;
 const MIN_STRIP: usize = 2;
 /// Number of smoothing passes.

@@ -57,7 +57,7 @@ pub fn line(out: &mut ViewMut<u8>, from: (f32, f32), to: (f32, f32), thickness_p
     }
 }
 
-/// Cuts a segment to the picture plus its thickness (Liang and Barsky), or `None` if nothing of it is visible.
+/// Cuts a segment to the image plus its thickness (Liang and Barsky), or `None` if nothing of it is visible.
 fn shorten(
     from: (f32, f32),
     to: (f32, f32),

@@ -19,7 +19,8 @@ pub struct DrawnPoint {
     pub mm: [f32; 3],
     /// Its colour in the camera's image.
     pub color: Color,
-    /// Whether it was filled in from the points around it: it is drawn in [`filled_color`] and has no depth in the image.
+    /// Whether it was filled in from the points around it: it is drawn in [`filled_color`] and has no depth in the
+    /// image.
     pub is_filled: bool,
 }
 
@@ -36,14 +37,14 @@ pub fn filled_color(color: Color) -> Color {
     color.map(|value| (f32::from(value) * 0.8).round() as u8)
 }
 
-/// Viewpoint and zoom of a picture of a surface.
+/// Viewpoint and zoom of an image of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
     /// Turn about the vertical axis through the surface's middle, radians; 0 is the camera's view.
     pub yaw: f32,
     /// Turn about the horizontal axis, radians.
     pub pitch: f32,
-    /// Size on the picture; 1 fills it in the view from the front.
+    /// Size on the image; 1 fills it in the view from the front.
     pub zoom: f32,
     /// Spacing of corners, in points.
     pub step: usize,
@@ -177,13 +178,13 @@ fn ruler_mm(visible_mm: f32) -> f32 {
 }
 
 impl SurfacePainter {
-    /// For each pixel of the last picture the depth behind the middle as in [`Projection`], infinite without a surface
+    /// For each pixel of the last image the depth behind the middle as in [`Projection`], infinite without a surface
     /// and where it was filled in.
     pub fn depth_mm(&self) -> &[f32] {
         &self.depth
     }
 
-    /// Share of the surface points of the last picture that are known but not drawn, because they are close to a step
+    /// Share of the surface points of the last image that are known but not drawn, because they are close to a step
     /// of depth or at ragged rims. Points on the ramp between two depths do not count as surface.
     pub fn cut_share(&self) -> f32 {
         self.cut_share
@@ -392,7 +393,7 @@ mod tests {
         assert!(inside[..last].iter().any(|b| !**b), "a gap between the two halves");
     }
 
-    /// Tissue at 67 mm and, at the picture's right edge, an instrument 45 mm away, as a camera sees them.
+    /// Tissue at 67 mm and, at the image's right edge, an instrument 45 mm away, as a camera sees them.
     struct Instrument;
     impl SurfacePoints for Instrument {
         fn size(&self) -> (usize, usize) {
@@ -419,7 +420,8 @@ mod tests {
         }
     }
 
-    /// A wall 60 mm away as cameras with a short baseline measure it: disparity in steps of one px of 67, which are 0.9 mm each.
+    /// A wall 60 mm away as cameras with a short baseline measure it: disparity in steps of one px of 67, which are 0.9
+    /// mm each.
     struct Terraces;
     impl SurfacePoints for Terraces {
         fn size(&self) -> (usize, usize) {

@@ -1,8 +1,8 @@
 //! SURF descriptor of one keypoint, from samples of the image pyramid.
 //!
-//! Bay et al. 2008, section 4.2: Haar responses of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy, |dx|, |dy|
-//! over 4 x 4 sub-regions. Neighbouring sub-regions overlap (Agrawal, Konolige, Blas, "CenSurE",
-//! ECCV 2008, section 3.4), so that a sample near a border does not jump between two of them.
+//! Bay et al. 2008, section 4.2: Haar responses of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy,
+//! |dx|, |dy| over 4 x 4 sub-regions. Neighbouring sub-regions overlap (Agrawal, Konolige, Blas, "CenSurE", ECCV 2008,
+//! section 3.4), so that a sample near a border does not jump between two of them.
 
 use super::patch::{Grid, PATCH, Patch};
 use super::pyramid::Pyramid;

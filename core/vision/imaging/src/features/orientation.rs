@@ -67,7 +67,8 @@ impl Scratch {
 
 /// Haar responses and where they point.
 struct Votes {
-    /// Sums of four by one samples, and the fall over two rows each; three more, so that the last row can be read like the others.
+    /// Sums of four by one samples, and the fall over two rows each; three more, so that the last row can be read like
+    /// the others.
     all: [f32; VOTES + 3],
     fall: [f32; VOTES + 3],
     pair: [[f32; 2]; VOTES],

@@ -29,7 +29,7 @@ pub struct RegisterParams {
     pub shrink: usize,
     /// Matching.
     pub matching: MatchParams,
-    /// Radius in which matches are sought around the position predicted from the previous frame, in pixels; 0:
+    /// Radius in which matches are searched around the position predicted from the previous frame, in pixels; 0:
     /// everywhere.
     pub gate_px: f32,
     /// Robust estimation; the threshold is in full-frame pixels.

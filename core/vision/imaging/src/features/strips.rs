@@ -8,7 +8,8 @@ use super::surf::SurfParams;
 use crate::Rect;
 use crate::geometry::{Homography, overlap_rois};
 
-/// Overlaps shorter than this share of a view's side are narrow: searched at full size and registered by a model of fewer parameters.
+/// Overlaps shorter than this share of a view's side are narrow: searched at full size and registered by a model of
+/// fewer parameters.
 const NARROW_SHARE: f64 = 0.34;
 /// Width of the strips in shares of a view's side: the narrower, the fewer keypoints without a partner.
 const STRIP_SHARE: f64 = 0.25;

@@ -49,8 +49,8 @@ pub struct SurfParams {
     pub upsample: bool,
     /// Size of orientation and descriptor windows over the usual one: larger ones distinguish fine keypoints better.
     pub window: f32,
-    /// Descriptors of 128 elements ([`Features::extension`]): more right matches for about twice the time of description
-    /// and matching.
+    /// Descriptors of 128 elements ([`Features::extension`]): more right matches for about twice the time of
+    /// description and matching.
     pub extended: bool,
     /// Columns and rows of a grid whose cells share `max_points` evenly before the rest is filled with the strongest; 0
     /// takes the strongest regardless of position.
@@ -75,7 +75,8 @@ impl Default for SurfParams {
     }
 }
 
-/// `gray` at twice its size, bilinear: pixel `2i` lies a quarter before the centre of pixel `i`, `2i + 1` a quarter behind it.
+/// `gray` at twice its size, bilinear: pixel `2i` lies a quarter before the centre of pixel `i`, `2i + 1` a quarter
+/// behind it.
 fn double(gray: View<'_, u8>, out: &mut Vec<u8>) {
     let (width, height) = (gray.width, gray.height);
     out.clear();
@@ -110,7 +111,7 @@ pub struct Keypoints {
 }
 
 impl Keypoints {
-    /// How many there are.
+    /// Their number.
     pub fn len(&self) -> usize {
         self.x_px.len()
     }
@@ -148,7 +149,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// How many keypoints there are.
+    /// Number of keypoints.
     pub fn len(&self) -> usize {
         self.keypoints.len()
     }

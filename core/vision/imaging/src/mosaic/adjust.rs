@@ -94,7 +94,7 @@ fn cauchy(squared_px: f64) -> f64 {
 }
 
 impl Adjust {
-    /// Reserves memory for so many keyframes on a chain; denser graphs grow it once more.
+    /// Reserves memory for this many keyframes on a chain; denser graphs grow it once more.
     pub fn reserve(&mut self, keyframes: usize) {
         self.gradient.reserve(keyframes * MAX_DEGREES);
         self.step.reserve(keyframes * MAX_DEGREES);

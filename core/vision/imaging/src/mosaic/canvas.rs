@@ -32,7 +32,7 @@ const MAX_GAIN: f64 = 1.6;
 /// Share of a measured exposure difference that is compensated; less than 1, so that gains do not drift along a chain.
 const GAIN_SHARE: f64 = 0.9;
 
-/// The picture and its sums.
+/// The image and its sums.
 #[derive(Clone, Debug)]
 pub(super) struct Canvas {
     pub width: usize,
@@ -98,7 +98,7 @@ impl Canvas {
         Rect::new(0, 0, self.width, self.height)
     }
 
-    /// The part of the picture within bounds of the mosaic: left, top, right, bottom.
+    /// The part of the image within bounds of the mosaic: left, top, right, bottom.
     pub fn rect_of(&self, bounds: [f64; 4]) -> Rect {
         let [a, b] = [
             self.picture_from_mosaic.map([bounds[0], bounds[1]]),
@@ -131,7 +131,7 @@ impl Canvas {
         Some(Ready { view, source_from_picture: map.0.map(|v| v * sign), gain: fixed(source.gain) })
     }
 
-    /// Adds a frame to the sums, within a part of the picture.
+    /// Adds a frame to the sums, within a part of the image.
     pub fn add(&mut self, source: &Source<'_>, part: Rect, pool: &dyn Parallel) {
         let Some(ready) = self.ready(source) else { return };
         let size = (ready.view.width, ready.view.height);
@@ -227,14 +227,14 @@ impl Canvas {
         std::array::from_fn(|c| (shown[c] / own[c]).powf(GAIN_SHARE).clamp(1.0 / MAX_GAIN, MAX_GAIN) as f32)
     }
 
-    /// Copies the picture.
+    /// Copies the image.
     pub fn copy(&self, out: &mut ViewMut<'_, u8>) {
         for (y, row) in self.bgr.chunks_exact(self.width * 3).enumerate() {
             out.row_mut(y).copy_from_slice(row);
         }
     }
 
-    /// Draws a frame over a copy of the picture, fading towards its border over existing pixels.
+    /// Draws a frame over a copy of the image, fading towards its border over existing pixels.
     pub fn draw_over(&mut self, source: &Source<'_>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) {
         let Some(ready) = self.ready(source) else { return };
         let size = (ready.view.width, ready.view.height);

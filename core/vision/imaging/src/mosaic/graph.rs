@@ -40,7 +40,7 @@ impl Edge {
     }
 }
 
-/// How two keyframes are connected.
+/// Connection of two keyframes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Route {
     pub hops: usize,
@@ -64,7 +64,7 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Reserves memory for so many keyframes.
+    /// Reserves memory for this many keyframes.
     pub fn reserve(&mut self, keyframes: usize) {
         let edges = keyframes * EDGES_PER_KEYFRAME;
         self.edges.reserve(edges.saturating_sub(self.edges.len()));

@@ -71,13 +71,13 @@ pub struct MosaicParams {
     pub loop_closure: bool,
     /// Movement of a keyframe in the image above which it is redrawn, in pixels.
     pub redraw_px: f64,
-    /// Width of the picture.
+    /// Width of the image.
     pub width: usize,
-    /// Height of the picture.
+    /// Height of the image.
     pub height: usize,
     /// Which part is shown.
     pub view: MosaicView,
-    /// Picture pixels per pixel of the first frame: the maximum in [`MosaicView::Fit`], fixed in
+    /// Image pixels per pixel of the first frame: the maximum in [`MosaicView::Fit`], fixed in
     /// [`MosaicView::Follow`].
     pub zoom: f64,
     /// Whether the exposure of keyframes is equalised.
@@ -138,7 +138,7 @@ pub struct MosaicReport {
     pub state: MosaicState,
     /// Maps pixels of the newest frame to those of the first keyframe; the last good one when lost.
     pub mosaic_from_frame: Homography,
-    /// Maps pixels of the first keyframe to those of the picture.
+    /// Maps pixels of the first keyframe to those of the image.
     pub picture_from_mosaic: Homography,
     /// Matches that agree; 0 when lost.
     pub inliers: usize,
@@ -154,7 +154,7 @@ pub struct MosaicReport {
     pub relocalised: u64,
     /// Frames that were not registered.
     pub lost_frames: u64,
-    /// Times that the whole picture was redrawn.
+    /// Times that the whole image was redrawn.
     pub redraws: u64,
     /// Area of the keyframes together, in percent of one frame.
     pub coverage_pct: f64,

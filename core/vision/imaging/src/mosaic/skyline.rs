@@ -1,5 +1,5 @@
-//! Sparse symmetric systems: Cholesky within the envelope of each row (A. George, J. Liu, "Computer Solution of Large Sparse
-//! Positive Definite Systems", 1981, chapter 4).
+//! Sparse symmetric systems: Cholesky within the envelope of each row (A. George, J. Liu, "Computer Solution of Large
+//! Sparse Positive Definite Systems", 1981, chapter 4).
 
 /// A symmetric positive definite matrix whose rows store the columns from the first entry to the diagonal.
 #[derive(Clone, Debug, Default)]

@@ -10,7 +10,7 @@ const SIZE: (usize, usize) = (320, 240);
 /// Barrel distortion of the test camera: which makes every chain of frames drift.
 const BARREL: f64 = 0.012;
 
-/// What a camera sees, its lens distorted by `barrel` at the ends of the picture's longer side.
+/// What a camera sees, its lens distorted by `barrel` at the ends of the image's longer side.
 fn frame(scene_from_image: &Homography, barrel: f64) -> Vec<u8> {
     let (cx, cy) = ((SIZE.0 as f64 - 1.0) / 2.0, (SIZE.1 as f64 - 1.0) / 2.0);
     let mut bgr = Vec::with_capacity(SIZE.0 * SIZE.1 * 3);

@@ -53,7 +53,7 @@ pub(super) struct Tracker {
 }
 
 impl Tracker {
-    /// Reserves memory for so many keypoints.
+    /// Reserves memory for this many keypoints.
     pub fn reserve(&mut self, points: usize) {
         self.from.reserve(points);
         self.to.reserve(points);

@@ -495,7 +495,7 @@ impl Mosaic {
         self.active
     }
 
-    /// Drops the oldest keyframe that is not in use, with its part of the picture. Returns its memory.
+    /// Drops the oldest keyframe that is not in use, with its part of the image. Returns its memory.
     fn drop_oldest(&mut self, pool: &dyn Parallel) -> Option<Keyframe> {
         let is_free = |k: &Keyframe| k.id != self.active;
         let index = self.keyframes.iter().position(is_free).unwrap_or(0);

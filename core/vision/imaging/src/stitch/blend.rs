@@ -1,4 +1,4 @@
-//! Blending in the zone around the seam (Burt and Adelson 1983), on the difference of the two pictures.
+//! Blending in the zone around the seam (Burt and Adelson 1983), on the difference of the two images.
 //!
 //! With D = first - second, blending both pyramids with weights W and 1 - W equals second + collapse(W_l * D_l): one
 //! pyramid instead of two, and none where only one image is shown.
@@ -130,13 +130,14 @@ impl Blender {
         &mut self.fine[0][..w * h * LANES]
     }
 
-    /// As [`Blender::differences`], with a row of work memory beside it.
+    /// As [`Blender::differences`], with a row of work memory.
     pub fn differences_and_row(&mut self) -> (&mut [i16], &mut [i16]) {
         let (w, h) = self.sizes[0];
         (&mut self.fine[0][..w * h * LANES], &mut self.scratch[..w * LANES])
     }
 
-    /// Builds the levels, and collapses them down to level 1. With `bands == false` only the weights are blurred (feather).
+    /// Builds the levels, and collapses them down to level 1. With `bands == false` only the weights are blurred
+    /// (feather).
     pub fn build(&mut self, bands: bool, ranges: &Ranges, pool: &dyn Parallel, avx2: bool) {
         if self.sizes.len() == 1 {
             return;

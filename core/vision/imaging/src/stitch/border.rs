@@ -194,7 +194,8 @@ fn between(pixel: usize, cells: usize) -> (usize, usize, f32) {
     (before, behind, (place - first).clamp(0.0, 1.0))
 }
 
-/// Distances to the nearest cell that is 0 or lies outside, px, up to `most`: 1 to the next cell, 1.4 to that at the corner.
+/// Distances to the nearest cell that is 0 or lies outside, px, up to `most`: 1 to the next cell, 1.4 to that at the
+/// corner.
 fn chamfer(distance_px: &mut [f32], (columns, rows): (usize, usize), most: f32) {
     let (side, corner) = (CELL_PX as f32, CELL_PX as f32 * std::f32::consts::SQRT_2);
     // Half a cell before the border: its centre.

@@ -1,6 +1,6 @@
-//! Disparity maps smaller than the pictures that they belong to: the depth of large images is computed on small ones.
+//! Disparity maps smaller than the images that they belong to: the depth of large images is computed on small ones.
 //!
-//! Pixel `i` of a map that is smaller by a factor `n` covers the pixels `n i` to `n i + n - 1` of the picture, and
+//! Pixel `i` of a map that is smaller by a factor `n` covers the pixels `n i` to `n i + n - 1` of the image, and
 //! counts disparity in its own pixels.
 
 use crate::geometry::Homography;
@@ -21,7 +21,7 @@ pub(super) fn shrunk(large: &Homography, factor: usize) -> Homography {
     within(large, 1.0 / factor as f64)
 }
 
-/// The same map between pictures whose pixels are smaller by a factor.
+/// The same map between images whose pixels are smaller by a factor.
 fn within(map: &Homography, factor: f64) -> Homography {
     let shift = |px: f64| Homography::translation(px, px);
     let there = shift(0.5).product(map).product(&shift(-0.5));

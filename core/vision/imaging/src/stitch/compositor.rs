@@ -93,7 +93,7 @@ impl Compositor {
     }
 
     /// Lets `painter` draw the panoramas of one and of two views, up to their blending; the processor draws all others.
-    /// A painter that fails is no longer used.
+    /// A painter that fails is not used again.
     pub fn set_painter(&mut self, painter: Option<Box<dyn Painter>>) {
         self.painter = painter;
         self.painter_fault = None;
@@ -104,7 +104,7 @@ impl Compositor {
         self.painter.is_some()
     }
 
-    /// The error for which the painter is no longer used; returned once.
+    /// The error of the failed painter; returned once.
     pub fn take_painter_fault(&mut self) -> Option<String> {
         self.painter_fault.take()
     }

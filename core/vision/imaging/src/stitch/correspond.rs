@@ -1,4 +1,4 @@
-//! Correspondences of two pictures by correlation alone, without features and without a prior on the geometry: an
+//! Correspondences of two images by correlation alone, without features and without a prior on the geometry: an
 //! evaluation of registrations that shares no method with them.
 //!
 //! Patches of the second image are searched in all of the first one at a coarse scale by normalised cross-correlation,
@@ -39,12 +39,12 @@ impl Default for CorrespondParams {
     }
 }
 
-/// The same point in both pictures, px.
+/// The same point in both images, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correspondence {
-    /// Position in the first (left) picture.
+    /// Position in the first (left) image.
     pub left: Point,
-    /// Position in the second (right) picture.
+    /// Position in the second (right) image.
     pub right: Point,
 }
 
@@ -180,7 +180,7 @@ fn seek(from: &[Gray], to: &[Gray], (x, y): (usize, usize)) -> Option<(Point, f3
     None
 }
 
-/// Finds correspondences of two gray pictures; allocates, because it is meant for evaluation.
+/// Finds correspondences of two gray images; allocates, because it is meant for evaluation.
 pub fn correspondences(
     left: &Gray,
     right: &Gray,

@@ -1,4 +1,4 @@
-//! One picture cut into two overlapping views, like the views of two cameras: images of real tissue with a true
+//! One image cut into two overlapping views, like the views of two cameras: images of real tissue with a true
 //! homography.
 //!
 //! The left view is an unchanged part of the image. The right view shows the other side of it with a slowly changing
@@ -52,18 +52,18 @@ impl Default for CutParams {
 /// An image that cannot be cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CutError {
-    /// The picture is too small for the margins.
+    /// The image is too small for the margins.
     TooSmall {
-        /// Columns of the picture.
+        /// Columns of the image.
         width: usize,
-        /// Rows of the picture.
+        /// Rows of the image.
         height: usize,
         /// Margin for perspective and movement at each side.
         margin_px: usize,
     },
-    /// A picture is not BGR, or an output has the wrong size.
+    /// An image is not BGR, or an output has the wrong size.
     Picture {
-        /// The picture, as the message names it.
+        /// The image, as the message names it.
         which: &'static str,
         /// Columns wanted.
         width: usize,
@@ -91,15 +91,15 @@ impl std::error::Error for CutError {}
 pub struct CutGeometry {
     /// Columns and rows of each view.
     pub size: (usize, usize),
-    /// Column and row of the picture at which the left view begins.
+    /// Column and row of the image at which the left view begins.
     pub left_at: (usize, usize),
-    /// Maps pixels of the right view to pixels of the picture.
+    /// Maps pixels of the right view to pixels of the image.
     pub picture_from_right: Homography,
     /// Maps pixels of the right view to those of the left view.
     pub left_from_right: Homography,
 }
 
-/// The views of frame `frame` of a picture of this size.
+/// The views of frame `frame` of an image of this size.
 ///
 /// # Errors
 /// When too little is left.
@@ -129,10 +129,10 @@ pub fn geometry(params: &CutParams, size: (usize, usize), frame: u64) -> Result<
     Ok(CutGeometry { size: (view, height), left_at, picture_from_right, left_from_right })
 }
 
-/// Draws both views of a frame; `geometry` is what [`geometry`] gave for the picture's size.
+/// Draws both views of a frame; `geometry` is what [`geometry`] gave for the image's size.
 ///
 /// # Errors
-/// When a picture is not BGR or has another size.
+/// When an image is not BGR or has another size.
 pub fn draw(
     params: &CutParams,
     geometry: &CutGeometry,

@@ -1,7 +1,8 @@
 //! A plane through disparities: the registration of views that share too little for a homography of eight parameters.
 //!
-//! In rectified views a plane in space has the disparity `d = x_slope * x + y_slope * y + offset`. Three parameters stay well
-//! determined on a strip some tens of pixels wide, where the other five of a homography do not, and extrapolate without folding.
+//! In rectified views a plane in space has the disparity `d = x_slope * x + y_slope * y + offset`. Three parameters
+//! stay well determined on a strip some tens of pixels wide, where the other five of a homography do not, and
+//! extrapolate without folding.
 
 use crate::geometry::Point;
 use panoscope_base::random::SplitMix64;
@@ -34,7 +35,7 @@ pub struct DisparityPlane {
     pub x_slope: f64,
     /// Change of the disparity per row.
     pub y_slope: f64,
-    /// Disparity at the picture's corner, px.
+    /// Disparity at the image's corner, px.
     pub offset_px: f64,
 }
 

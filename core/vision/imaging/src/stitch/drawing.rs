@@ -70,7 +70,8 @@ impl Runs {
         &self.starts
     }
 
-    /// One past the last column of each run, and its view: 0 none, 1 the first, 2 the second. The runs of a row follow one another without gaps.
+    /// One past the last column of each run, and its view: 0 none, 1 the first, 2 the second. The runs of a row follow
+    /// one another without gaps.
     pub fn list(&self) -> &[(u32, u8)] {
         &self.list
     }

@@ -12,7 +12,7 @@ const WINDOW: usize = 8;
 /// Distance between windows, px.
 const STRIDE: usize = 4;
 
-/// A gray picture of floats, row after row.
+/// A gray image of floats, row after row.
 #[derive(Clone, Debug, Default)]
 pub struct Gray {
     /// Levels 0..=255.
@@ -24,7 +24,7 @@ pub struct Gray {
 }
 
 impl Gray {
-    /// Luma of a BGR picture.
+    /// Luma of a BGR image.
     pub fn of_bgr(view: View<'_, u8>) -> Self {
         let mut data = Vec::with_capacity(view.width * view.height);
         for y in 0..view.height {
@@ -188,8 +188,8 @@ impl TruePairs<'_> {
         rows.flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y))).filter_map(|(x, y)| self.at(x, y))
     }
 
-    /// Root mean square distance between mapped and true positions of the points that both views see, px of the left view, and how
-    /// many there are; `None` when there are none.
+    /// Root mean square distance between mapped and true positions of the points that both views see, px of the left
+    /// view, and how many there are; `None` when there are none.
     pub fn alignment(&self, left_from_other: &Homography) -> Option<(f64, usize)> {
         let (mut squares, mut count) = (0.0, 0usize);
         for (other, left) in self.iter() {

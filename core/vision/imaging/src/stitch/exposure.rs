@@ -11,8 +11,8 @@ const LUMA: [u64; 3] = [29, 150, 77];
 /// Shares of samples without colour below which a view counts as one in colour, and above which as one in gray. Between
 /// them both gains are mixed, so that the decision does not flicker.
 const GRAY_SHARE: [f32; 2] = [0.8, 0.95];
-/// Largest spread of the channels of a sample without colour: this many levels and this share of the brightest channel. Covers what JPEG and video
-/// codecs do to gray.
+/// Largest spread of the channels of a sample without colour: this many levels and this share of the brightest channel.
+/// Covers what JPEG and video codecs do to gray.
 const NEUTRAL_LEVELS: u8 = 4;
 const NEUTRAL_PART: u8 = 32;
 /// Fewest samples that a gain is measured on.
@@ -20,7 +20,7 @@ const MIN_SAMPLES: u64 = 16;
 /// Relative error of a running gain at which it starts and stops following the measured one.
 const DEAD_BAND: [f32; 2] = [0.008, 0.002];
 
-/// Sums over samples of the overlap, of the pictures joined so far and of the new view.
+/// Sums over samples of the overlap, of the images joined so far and of the new view.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OverlapLight {
     base: [u64; 3],
@@ -59,7 +59,8 @@ impl OverlapLight {
         ((share - GRAY_SHARE[0]) / (GRAY_SHARE[1] - GRAY_SHARE[0])).clamp(0.0, 1.0)
     }
 
-    /// Gain of the new view that brings its mean to that of the pictures joined so far, B, G, R; `None` when too few samples count.
+    /// Gain of the new view that brings its mean to that of the images joined so far, B, G, R; `None` when too few
+    /// samples count.
     pub fn gain(&self, method: ExposureMethod) -> Option<[f32; 3]> {
         if self.count < MIN_SAMPLES {
             return None;

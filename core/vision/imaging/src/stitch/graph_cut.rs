@@ -11,7 +11,8 @@ const SINK: u8 = 2;
 
 /// Minimum cut of a `width` x `height` grid; capacities are whole numbers, so the result is exact.
 ///
-/// Set capacities with [`GridCut::reset`], [`GridCut::add_terminal`] and [`GridCut::add_edge`], then [`GridCut::solve`].
+/// Set capacities with [`GridCut::reset`], [`GridCut::add_terminal`] and [`GridCut::add_edge`], then
+/// [`GridCut::solve`].
 #[derive(Debug, Default)]
 pub struct GridCut {
     width: usize,

@@ -25,7 +25,7 @@ pub enum CellPoint {
     Median,
 }
 
-/// Parameters of [`RegisterGrid`]. Lengths are in pixels of the pictures, even if the disparity map is smaller.
+/// Parameters of [`RegisterGrid`]. Lengths are in pixels of the images, even if the disparity map is smaller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridParams {
     /// Rows of the grid (9 in chapter 4).
@@ -38,7 +38,7 @@ pub struct GridParams {
     pub step_px: usize,
     /// Share of a cell's used pixels that must have a disparity.
     pub min_valid: f32,
-    /// Robust estimation; the threshold is in pixels of the left picture.
+    /// Robust estimation; the threshold is in pixels of the left image.
     pub ransac: RansacParams,
     /// Inliers below which a homography is rejected; at least 4.
     pub min_inliers: usize,
@@ -48,7 +48,8 @@ pub struct GridParams {
     pub stability_px: f64,
     /// It is also kept while its error on the pairs is larger by at most this share.
     pub still_tolerance: f64,
-    /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the inliers alone.
+    /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the
+    /// inliers alone.
     pub anchor_fit: f64,
     /// Rms error of the inliers, px, above which a homography is rejected; 0 accepts all.
     pub max_rms_px: f64,
@@ -79,7 +80,7 @@ impl Default for GridParams {
 /// Result for one disparity map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GridRegistration {
-    /// Maps right-picture pixels to left-picture pixels; the last good one when held or lost, the identity before any.
+    /// Maps right-image pixels to left-image pixels; the last good one when held or lost, the identity before any.
     pub left_from_right: Homography,
     /// Fresh, held or lost.
     pub state: RegistrationState,
@@ -87,13 +88,13 @@ pub struct GridRegistration {
     pub points: usize,
     /// Points that agree with the homography; 0 unless fresh.
     pub inliers: usize,
-    /// Root mean square reprojection error of the inliers in the left picture, px; 0 unless fresh.
+    /// Root mean square reprojection error of the inliers in the left image, px; 0 unless fresh.
     pub rms_px: f64,
     /// The error for which this map's homography was rejected, px.
     pub refused_rms_px: Option<f64>,
-    /// Overlap in the left picture; the whole picture unless fresh.
+    /// Overlap in the left image; the whole image unless fresh.
     pub roi_left: Rect,
-    /// Overlap in the right picture.
+    /// Overlap in the right image.
     pub roi_right: Rect,
     /// Whether the homography is the previous frame's, kept by the stability test.
     pub kept: bool,
@@ -114,7 +115,7 @@ impl GridParams {
 }
 
 impl GridRegistration {
-    /// The same in pixels of pictures of these sizes, which are larger by a factor.
+    /// The same in pixels of images of these sizes, which are larger by a factor.
     fn enlarged(self, factor: usize, [left, right]: [(usize, usize); 2]) -> Self {
         let whole = |small: &Rect, (width, height): (usize, usize)| {
             Rect::new(small.x * factor, small.y * factor, small.width * factor, small.height * factor)
@@ -135,7 +136,7 @@ impl GridRegistration {
 #[derive(Clone, Debug, Default)]
 pub struct RegisterGrid {
     params: GridParams,
-    /// By how much the last map was smaller than the pictures; 0 before the first.
+    /// By how much the last map was smaller than the images; 0 before the first.
     factor: usize,
     /// The parameters in pixels of that map; so are all later fields.
     scaled: GridParams,
@@ -208,8 +209,8 @@ impl RegisterGrid {
         self.failures = 0;
     }
 
-    /// Registers by one disparity map: px of the left rectified view, NaN where unmatched. The map has the size of the pictures, or is smaller by a
-    /// whole factor, see [`map_factor`].
+    /// Registers by one disparity map: px of the left rectified view, NaN where unmatched. The map has the size of the
+    /// images, or is smaller by a whole factor, see [`map_factor`].
     ///
     /// A failure is a state, not an error: the next frame searches the whole map.
     pub fn register(
@@ -232,7 +233,7 @@ impl RegisterGrid {
         found.enlarged(factor, [left.size, right.size])
     }
 
-    /// Registers by a map as large as the pictures.
+    /// Registers by a map as large as the images.
     fn register_map(
         &mut self,
         disparity: View<'_, f32>,
@@ -328,7 +329,8 @@ impl RegisterGrid {
         Some(RansacFit { homography, inliers, rms_px, iterations: 0 })
     }
 
-    /// The part of the left rectified view that both views share, by its disparities alone: where `x - d` lies in the right view.
+    /// The part of the left rectified view that both views share, by its disparities alone: where `x - d` lies in the
+    /// right view.
     fn shared_area(&mut self, disparity: View<'_, f32>, step: usize) -> Rect {
         let (width, height) = (disparity.width, disparity.height);
         for (counts, length) in self.counts.iter_mut().zip([width, height]) {

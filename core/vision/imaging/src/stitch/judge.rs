@@ -51,7 +51,7 @@ pub fn correlated(placed: &Placement, left: View<'_, u8>, right: View<'_, u8>, p
 /// A panorama drawn by a composite.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnPanorama<'a> {
-    /// The picture, BGR.
+    /// The image, BGR.
     pub picture: View<'a, u8>,
     /// Column and row at which the left view begins in it.
     pub left_at: (i32, i32),
@@ -59,16 +59,16 @@ pub struct DrawnPanorama<'a> {
     pub shown: Option<View<'a, u8>>,
 }
 
-/// Picture of one wide camera at the left camera's position.
+/// Image of one wide camera at the left camera's position.
 #[derive(Clone, Copy, Debug)]
 pub struct WideTruth<'a> {
-    /// The picture, BGR.
+    /// The image, BGR.
     pub picture: View<'a, u8>,
     /// Column and row at which the left view begins in it.
     pub left_at: (i32, i32),
 }
 
-/// Comparison of a panorama with the wide truth; `None` if there is nothing to compare.
+/// Comparison of a panorama with the wide ground truth; `None` if there is nothing to compare.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PictureMarks {
     /// In the overlap of both views.
@@ -79,7 +79,7 @@ pub struct PictureMarks {
     pub ghost_pct: Option<f64>,
 }
 
-/// The part of the wide truth under the panorama; false in the mask outside it.
+/// The part of the wide ground truth under the panorama; false in the mask outside it.
 fn truth_on_canvas(wide: &WideTruth<'_>, left_at: (i32, i32), size: (usize, usize)) -> (Gray, Vec<bool>) {
     let all = Gray::of_bgr(wide.picture);
     let mut out = Gray { data: vec![0.0; size.0 * size.1], width: size.0, height: size.1 };
@@ -101,7 +101,8 @@ fn truth_on_canvas(wide: &WideTruth<'_>, left_at: (i32, i32), size: (usize, usiz
     (out, known)
 }
 
-/// Compares a panorama with the wide truth in the overlap of two views of these sizes, and within `band_px` of the seam there.
+/// Compares a panorama with the wide ground truth in the overlap of two views of these sizes, and within `band_px` of
+/// the seam there.
 pub fn compare_pictures(
     panorama: &DrawnPanorama<'_>,
     wide: &WideTruth<'_>,

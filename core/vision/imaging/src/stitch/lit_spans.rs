@@ -65,7 +65,8 @@ struct Look {
     lit: [bool; 2],
 }
 
-/// Cuts `spans`, one for each row from `rows.start` on to `rows.end`, which `mapping` maps to a view of which `lit` is lit.
+/// Cuts `spans`, one for each row from `rows.start` on to `rows.end`, which `mapping` maps to a view of which `lit` is
+/// lit.
 pub fn cut(mapping: Mapping, lit: &LitPart, rows: std::ops::Range<usize>, spans: &mut [Span], avx2: bool) {
     let mut finder = Rows { mapping, lit, block: Block::default(), avx2 };
     let mut before = Span::default();
@@ -80,7 +81,7 @@ pub fn cut(mapping: Mapping, lit: &LitPart, rows: std::ops::Range<usize>, spans:
 /// Minimum lead of one side over the other, in percent, before the new view changes sides; prevents flickering.
 const CLEARLY_MORE: i64 = 125;
 
-/// Whether the new view is shown to the left of the pictures so far, or to the right. The previous frame's side is kept
+/// Whether the new view is shown to the left of the images so far, or to the right. The previous frame's side is kept
 /// unless the other one shows clearly more.
 pub fn reaches_left(base: &[Span], new: &[Span], was_left: bool) -> bool {
     let (mut left, mut right) = (0, 0);

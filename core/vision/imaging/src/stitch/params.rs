@@ -73,7 +73,7 @@ pub enum BorderMethod {
     /// Unchanged.
     #[default]
     AsIs,
-    /// The picture fades to black towards it.
+    /// The image fades to black towards it.
     Fade,
     /// Black outside the largest upright rectangle that the views cover.
     Crop,
@@ -131,7 +131,7 @@ pub struct CompositeParams {
     pub border: BorderMethod,
     /// Width of a fading border, canvas pixels; 1..=1024.
     pub border_px: usize,
-    /// Direction of "up" in the reference view, degrees clockwise from the picture's top; `None` draws no cue.
+    /// Direction of "up" in the reference view, degrees clockwise from the image's top; `None` draws no cue.
     pub up_cue_deg: Option<f32>,
     /// Marks frames whose geometry is lost (red frame and text).
     pub mark_lost: bool,
@@ -307,8 +307,7 @@ pub struct CompositeReport {
     /// Time for the seam: sampling the overlap at its scale, comparing the views there and, when due, recomputing the
     /// seam.
     pub seam_time: std::time::Duration,
-    /// How much more area the panorama covers than the reference view, percent. If it is cropped, only lit areas are
-    /// counted.
+    /// Additional area of the panorama over the reference view, percent. If it is cropped, only lit areas are counted.
     pub view_gain_percent: f64,
     /// Gains applied per view, B, G, R.
     pub gains: [[f32; 3]; MAX_VIEWS],

@@ -7,7 +7,7 @@ use crate::stereo::Lens;
 /// One camera and its rectification, with the parameters that map a pixel of the rectified view back to the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RectifiedView {
-    /// Columns and rows of the picture.
+    /// Columns and rows of the image.
     pub size: (usize, usize),
     /// Focal lengths of the camera, px.
     pub focal_px: [f64; 2],
@@ -24,7 +24,7 @@ pub struct RectifiedView {
 }
 
 impl RectifiedView {
-    /// Whether the camera's picture is the rectified view.
+    /// Whether the camera's image is the rectified view.
     pub fn is_straight(&self) -> bool {
         let same = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
         self.lens == Lens::NONE

@@ -1,4 +1,4 @@
-//! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
+//! The seam between the images joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
 use super::graph_cut::GridCut;
 use super::mesh::{Keep, Kept, Mesh};
@@ -204,7 +204,8 @@ impl Seam {
         found
     }
 
-    /// Whether [`Seam::update`] finds a new seam in this frame, whose costs are known: only then it reads what [`Seam::doubt`] sets.
+    /// Whether [`Seam::update`] finds a new seam in this frame, whose costs are known: only then it reads what
+    /// [`Seam::doubt`] sets.
     pub fn is_due(&self, params: &CompositeParams, may_find: bool) -> bool {
         let is_old = self.age_frames.saturating_add(1) >= params.seam_interval_frames.max(1)
             || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;

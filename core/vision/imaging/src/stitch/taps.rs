@@ -59,7 +59,7 @@ impl Taps {
     }
 }
 
-/// The pictures joined so far, as samples with gains applied; lane 3 is 255 where there is one.
+/// The images joined so far, as samples with gains applied; lane 3 is 255 where there is one.
 #[derive(Debug, Default)]
 pub struct Joined {
     values: Vec<[u8; 4]>,
@@ -82,7 +82,7 @@ impl Joined {
         }
     }
 
-    /// Light of the overlap in the joined pictures and in the view.
+    /// Light of the overlap in the joined images and in the view.
     pub fn light(&self, taps: &Taps) -> OverlapLight {
         let mut light = OverlapLight::default();
         // Two samples of a cell measure its brightness as well as four.

@@ -1,7 +1,8 @@
 //! Perspective warp, bilinear, in blocks of output pixels.
 //!
-//! By a matrix, coordinates are f32 relative to an f64 start every 64 pixels (error below 1/1000 px); by a mesh, steps of 1/65536 px from each vertex
-//! on (error below 1/500 px). Positions are rounded to 1/64 px. The portable and the AVX2 path give the same bytes.
+//! By a matrix, coordinates are f32 relative to an f64 start every 64 pixels (error below 1/1000 px); by a mesh, steps
+//! of 1/65536 px from each vertex on (error below 1/500 px). Positions are rounded to 1/64 px. The portable and the
+//! AVX2 path give the same bytes.
 
 mod line;
 
@@ -26,7 +27,8 @@ pub const UNIT_GAIN: [i16; 4] = [16384, 16384, 16384, 0];
 pub struct Block {
     /// Byte offset of the upper left neighbour. Entries after the last pixel are undefined.
     pub(super) offset: [u32; ROOM],
-    /// Weights, from the low byte on: of the left and of the right column in 1/64, and of the lower row in Q14, two bytes.
+    /// Weights, from the low byte on: of the left and of the right column in 1/64, and of the lower row in Q14, two
+    /// bytes.
     pub(super) weights: [u32; ROOM],
     /// Pixels that are located, in whole groups.
     located: usize,
@@ -75,8 +77,8 @@ impl Default for Pixels {
     }
 }
 
-/// Fills `block` for the output pixels `(x .. x + count, y)`, count at most [`BLOCK`]; `source_from_output` maps output pixels to
-/// those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
+/// Fills `block` for the output pixels `(x .. x + count, y)`, count at most [`BLOCK`]; `source_from_output` maps output
+/// pixels to those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
 pub fn locate(
     source_from_output: &[f64; 9],
     x: usize,
@@ -269,7 +271,8 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
 }
 
 /// # Safety
-/// For each of the first `count` offsets (a multiple of 8, at most [`BLOCK`]), `offset + stride + 8` bytes must be readable.
+/// For each of the first `count` offsets (a multiple of 8, at most [`BLOCK`]), `offset + stride + 8` bytes must be
+/// readable.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn sample_avx2(

@@ -26,7 +26,7 @@ const TRIED: [f64; 5] = [0.0, 0.4, 0.5, 0.6, 0.7];
 /// A box as reported by `yolo`: the likeliest class per position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Number of its picture.
+    /// Number of its image.
     picture: usize,
     bbox: [f64; 4],
     class: usize,
@@ -75,7 +75,7 @@ fn of_picture(picture: usize, objects: &[Object], finds: &[Find], objectness: &[
     }
 }
 
-/// The boxes of all pictures of a fold.
+/// The boxes of all images of a fold.
 pub fn samples(objects: &[Vec<Object>], predicted: &Predicted) -> Vec<Sample> {
     let mut out = Vec::new();
     let pictures = objects.iter().zip(&predicted.finds).zip(&predicted.objectness);
@@ -120,7 +120,7 @@ pub struct Wanted<'a> {
 /// measured on unseen operations; a single fold is corrected by its own curve, which is reported.
 ///
 /// # Errors
-/// A picture or the file cannot be written.
+/// An image or the file cannot be written.
 pub fn report(session: &dyn Session, folds: &[&[Sample]], wanted: &Wanted<'_>) -> Result<Vec<Figure>> {
     let all = || folds.iter().flat_map(|fold| fold.iter());
     let (score, objectness) = fit(all());

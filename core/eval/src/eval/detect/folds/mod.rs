@@ -1,4 +1,5 @@
-//! A detector on whole operations that its training never saw, from stored predictions: mAP at 0.5 of each fold, their mean and the worst one.
+//! A detector on whole operations that its training never saw, from stored predictions: mAP at 0.5 of each fold, their
+//! mean and the worst one.
 
 mod calibrate;
 mod file;
@@ -33,7 +34,8 @@ pub struct Options {
     pub data: Vec<PathBuf>,
     /// The data set itself, instead of the one that the file of folds names.
     pub truth: Option<PathBuf>,
-    /// Folder for pictures of each fold: curves, class confusions, contact sheets of the worst misses; and a reliability diagram of all.
+    /// Folder for images of each fold: curves, class confusions, contact sheets of the worst misses; and a reliability
+    /// diagram of all.
     pub pictures: Option<PathBuf>,
     /// File for the calibration of a model that is exported.
     pub calibration: Option<PathBuf>,
@@ -146,10 +148,10 @@ pub(super) struct Bounds {
 }
 
 /// Bounds for frames of the data set of the shipped file of folds, drawn from its blocks; `None`, with a note, if that
-/// file is not installed. `objects` are those of `truth`, picture by picture.
+/// file is not installed. `objects` are those of `truth`, image by image.
 ///
 /// # Errors
-/// The file is damaged, or a picture is not named like one of the data set.
+/// The file is damaged, or an image is not named like one of the data set.
 pub(super) fn bounds(
     session: &dyn Session,
     truth: &Truth,
@@ -250,7 +252,8 @@ impl Report<'_> {
         table(&rows)
     }
 
-    /// Figures of `measure` for each fold and for all of them, from a value per fold and its resamples; with a line of text.
+    /// Figures of `measure` for each fold and for all of them, from a value per fold and its resamples; with a line of
+    /// text.
     fn folds(&mut self, measure: &str, values: &[f64], drawn: &[Vec<f64>]) -> String {
         for (fold, (value, samples)) in self.folds.iter().zip(values.iter().zip(drawn)) {
             self.figure(&format!("{measure}/fold{}", fold.name), *value, interval(samples.iter().copied()));
@@ -270,8 +273,8 @@ impl Report<'_> {
 /// Scores the predictions of each fold; with a second folder also the gain over it, on the same frames.
 ///
 /// # Errors
-/// A fold is missing or was predicted by a training that saw its frames, a file has the wrong content, the data set is not there, or the
-/// session is cancelled.
+/// A fold is missing or was predicted by a training that saw its frames, a file has the wrong content, the data set is
+/// not there, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     for folder in std::iter::once(&options.predictions).chain(&options.beside) {
         if !folder.is_dir() {

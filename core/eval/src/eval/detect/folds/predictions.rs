@@ -3,7 +3,7 @@
 //! `foldN.json` of a folder: `{"format": "panoscope-predictions-1", "fold": "N", "held_out": [operations],
 //! "trained_on": [operations], "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0,
 //! y0, x1, y1, objectness], ...], ...}}`. Class is an index into `classes`, score 0..1, boxes in px of the stored
-//! picture; objectness, 0..1, may be missing. Each frame of the held-out operations is there.
+//! image; objectness, 0..1, may be missing. Each frame of the held-out operations is there.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -44,8 +44,8 @@ pub fn path_of(folder: &Path, fold: &str) -> PathBuf {
 /// Reads the detections in the images of `truth`, which are those of `fold`.
 ///
 /// # Errors
-/// The file is missing or damaged, belongs to another fold or to other folds, comes from a training that saw one of the operations,
-/// names a class that the ground truth does not have, or has other frames than the fold.
+/// The file is missing or damaged, belongs to another fold or to other folds, comes from a training that saw one of the
+/// operations, names a class that the ground truth does not have, or has other frames than the fold.
 pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<Predicted> {
     let path = path_of(folder, fold);
     let file = path.display();

@@ -17,14 +17,14 @@ use panoscope_imaging::detect::Ranking;
 /// Redrawn samples per figure.
 pub const RESAMPLES: usize = 1000;
 
-/// Blocks of pictures (indices), operation by operation.
+/// Blocks of images (indices), operation by operation.
 pub struct Blocks(Vec<Vec<Vec<usize>>>);
 
 impl Blocks {
     /// Cuts the frames of each operation where the gap is longer than the folds allow.
     ///
     /// # Errors
-    /// The name of a picture does not end with `_` and a number.
+    /// The name of an image does not end with `_` and a number.
     pub fn of(pictures: &[Picture], folds: &Folds) -> Result<Self> {
         let gap = folds.frame_rate_hz * folds.block_s;
         let mut frames = pictures
@@ -75,7 +75,8 @@ impl Blocks {
     }
 }
 
-/// AP at 0.5 of each class in [`RESAMPLES`] redrawn samples, for several rankings of the same pictures: all get the same draws.
+/// AP at 0.5 of each class in [`RESAMPLES`] redrawn samples, for several rankings of the same images: all get the same
+/// draws.
 pub fn resampled(rankings: &[Ranking], blocks: &Blocks, pictures: usize, seed: u64) -> Vec<Vec<Vec<f64>>> {
     let mut random = SplitMix64(seed);
     let draws: Vec<Vec<u32>> = (0..RESAMPLES).map(|_| blocks.draw(&mut random, pictures)).collect();

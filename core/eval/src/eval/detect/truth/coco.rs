@@ -1,4 +1,4 @@
-//! COCO: one JSON file for all pictures.
+//! COCO: one JSON file for all images.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -61,7 +61,7 @@ pub enum Segmentation {
 }
 
 impl Segmentation {
-    /// The mask in a picture of `width` x `height` px.
+    /// The mask in an image of `width` x `height` px.
     pub fn mask(&self, width: usize, height: usize) -> Result<Mask> {
         // Compared before a mask of that size is made.
         if let Self::Runs { size, .. } | Self::Packed { size, .. } = self
@@ -87,7 +87,7 @@ impl Segmentation {
 
 /// Content of a file of found boxes: per image id its annotations, and the class names by id.
 pub struct FoundFile {
-    /// By picture.
+    /// By image.
     pub by_image: BTreeMap<u64, Vec<Annotation>>,
     /// By class.
     pub names: BTreeMap<u64, String>,
@@ -108,7 +108,7 @@ fn parse(path: &Path) -> Result<File> {
     serde_json::from_str(&text).with_context(|| format!("{} is neither a COCO nor a VIA file", path.display()))
 }
 
-/// Reads the ground truth; each picture is in the first of `folders` that has it.
+/// Reads the ground truth; each image is in the first of `folders` that has it.
 pub fn read(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     let file = parse(path)?;
     let mut truth = Truth::default();

@@ -21,9 +21,9 @@ pub use panoscope_imaging::detect::normal_name;
 pub struct Picture {
     /// The file.
     pub path: PathBuf,
-    /// Columns of the picture.
+    /// Columns of the image.
     pub width: usize,
-    /// Rows of the picture.
+    /// Rows of the image.
     pub height: usize,
     /// Objects in the image.
     pub objects: Vec<Object>,
@@ -42,12 +42,12 @@ impl Picture {
     }
 }
 
-/// Pictures and the classes that their truth names.
+/// Images and the classes that their truth names.
 #[derive(Clone, Debug, Default)]
 pub struct Truth {
     /// Class names, normalised.
     pub classes: Vec<String>,
-    /// Pictures in order.
+    /// Images in order.
     pub pictures: Vec<Picture>,
 }
 
@@ -61,7 +61,7 @@ impl Truth {
         })
     }
 
-    /// Absolute paths of the pictures, one per line, as `capture` accepts them.
+    /// Absolute paths of the images, one per line, as `capture` accepts them.
     pub fn file_list(&self) -> String {
         let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
         self.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect()
@@ -72,7 +72,7 @@ impl Truth {
         self.pictures.iter().any(|p| p.objects.iter().any(|o| o.mask.is_some()))
     }
 
-    /// Only the pictures of these operations.
+    /// Only the images of these operations.
     pub fn only(&self, operations: &[String]) -> Self {
         let wanted = |p: &&Picture| operations.contains(&p.operation());
         Self { classes: self.classes.clone(), pictures: self.pictures.iter().filter(wanted).cloned().collect() }
@@ -93,7 +93,7 @@ impl Truth {
     }
 }
 
-/// Width and height of a picture file.
+/// Width and height of an image file.
 fn size_of(path: &Path) -> Result<(usize, usize)> {
     let (w, h) = image::image_dimensions(path).on_file(FileAction::Read, path)?;
     if u64::from(w) * u64::from(h) > MAX_PIXELS {
@@ -107,7 +107,7 @@ const MAX_PIXELS: u64 = 1 << 28;
 
 const PICTURES: [&str; 5] = ["jpg", "jpeg", "png", "JPG", "PNG"];
 
-/// The picture called `stem` in the first of `folders` that has one.
+/// The image called `stem` in the first of `folders` that has one.
 fn picture_called(folders: &[PathBuf], stem: &str) -> Option<PathBuf> {
     let all = folders.iter().flat_map(|f| PICTURES.iter().map(move |e| f.join(format!("{stem}.{e}"))));
     all.into_iter().find(|p| p.is_file())
@@ -122,7 +122,7 @@ fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     found
 }
 
-/// One file for all pictures: of VIA, or of COCO with pictures in one of `folders`.
+/// One file for all images: of VIA, or of COCO with images in one of `folders`.
 fn one_file(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     let value: Option<serde_json::Value> = serde_json::from_str(&text).ok();
@@ -152,7 +152,7 @@ fn file_in(folder: &Path, split: Option<&str>) -> Option<PathBuf> {
 /// Reads `path` in any of the formats. `split` selects a list of VOC, COCO or YOLO; `None` for all.
 ///
 /// # Errors
-/// There is no ground truth, it is damaged, or it has no picture or no object at all.
+/// There is no ground truth, it is damaged, or it has no image or no object at all.
 pub fn read(session: &dyn Session, path: &Path, split: Option<&str>, images: Option<&Path>) -> Result<Truth> {
     let truth = read_any(session, path, split, images)?;
     if truth.pictures.iter().all(|picture| picture.objects.is_empty()) {

@@ -1,4 +1,4 @@
-//! VIA, the VGG Image Annotator (Dutta and Zisserman 2019): one JSON file for all pictures, with polygons, polylines,
+//! VIA, the VGG Image Annotator (Dutta and Zisserman 2019): one JSON file for all images, with polygons, polylines,
 //! rectangles, circles and ellipses.
 //!
 //! Reads projects of version 2 (`_via_img_metadata`) and exported annotations (regions are a list), and exports of
@@ -19,7 +19,7 @@ const CLASS: [&str; 6] = ["class", "label", "name", "type", "tool", "instrument"
 /// Corners that circles and ellipses are drawn with.
 const ROUND: usize = 96;
 
-/// The pictures of a file, if it is one of VIA.
+/// The images of a file, if it is one of VIA.
 pub fn pictures(value: &Value) -> Option<&Map<String, Value>> {
     let map = value.as_object()?;
     if let Some(project) = map.get(PROJECT) {
@@ -29,7 +29,7 @@ pub fn pictures(value: &Value) -> Option<&Map<String, Value>> {
     (!map.is_empty() && map.values().all(is_picture)).then_some(map)
 }
 
-/// Reads the pictures of `path`, which lie in `folder` or in `images` in it. Each error names the file, the picture and
+/// Reads the images of `path`, which lie in `folder` or in `images` in it. Each error names the file, the image and
 /// the region, counted from 1.
 ///
 /// # Errors

@@ -1,5 +1,6 @@
-//! YOLO: `images/SPLIT`, `labels/SPLIT/NAME.txt` (Ultralytics) or `SPLIT/images`, `SPLIT/labels/NAME.txt` (Roboflow) with class, centre and size in
-//! shares of the picture, or class and a polygon; names in `data.yaml`, `classes.txt` or numbers.
+//! YOLO: `images/SPLIT`, `labels/SPLIT/NAME.txt` (Ultralytics) or `SPLIT/images`, `SPLIT/labels/NAME.txt` (Roboflow)
+//! with class, centre and size in shares of the image, or class and a polygon; names in `data.yaml`, `classes.txt` or
+//! numbers.
 
 use std::path::{Path, PathBuf};
 

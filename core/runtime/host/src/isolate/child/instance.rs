@@ -12,7 +12,7 @@ use super::{Child, EXIT_PROTOCOL, describe, leave, pools};
 use crate::isolate::lane::{Lost, Side};
 use crate::isolate::wire::{BadMessage, Kind, Params, Reader, Writer};
 
-/// How long a process that describes plugins waits for the next question.
+/// Maximum wait of a describing process for the next question.
 const MAX_IDLE: Duration = Duration::from_secs(10);
 /// Maximum length of a position of a source, bytes, that is sent with every tick.
 const MAX_POSITION_BYTES: usize = 16 << 10;

@@ -305,7 +305,8 @@ pub(crate) struct Process {
 }
 
 impl Process {
-    /// Starts a process. `what` names it in messages, `domain` is that of its own pools, `totals` counts what its calls cost.
+    /// Starts a process. `what` names it in messages, `domain` is that of its own pools, `totals` counts what its calls
+    /// cost.
     pub fn start(
         launch: &Launch,
         settings: &GroupSettings,

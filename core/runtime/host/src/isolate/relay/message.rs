@@ -120,7 +120,8 @@ pub fn outputs(done: &[u8]) -> Result<Vec<Bytes>, RelayError> {
     Ok(outputs)
 }
 
-/// The frame that the host made for a node, if it made one, in the answer to [`super::kind::ALLOC`] or [`super::kind::MAKE_MUT`].
+/// The frame that the host made for a node, if it made one, in the answer to [`super::kind::ALLOC`] or
+/// [`super::kind::MAKE_MUT`].
 ///
 /// # Errors
 /// It is malformed.

@@ -105,7 +105,7 @@ pub enum Message {
         memory_bytes: u64,
         /// Whether sockets are denied, and new files.
         deny: (bool, bool),
-        /// How pixels travel.
+        /// Encoding of pixels.
         pixels: Pixels,
         /// Silence after which the other side counts as lost, ms.
         timeout_ms: u32,

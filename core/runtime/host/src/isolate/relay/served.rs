@@ -20,7 +20,7 @@ pub struct Settings {
     pub threads: u32,
     /// Maximum number of bytes of private memory.
     pub memory_bytes: u64,
-    /// What its nodes are denied.
+    /// Denied permissions of its nodes.
     pub deny: Deny,
 }
 

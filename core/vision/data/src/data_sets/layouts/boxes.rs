@@ -1,4 +1,4 @@
-//! Pictures with boxes: m2cai16-tool-locations (Jin et al., "Tool detection and operative skill assessment in surgical
+//! Images with boxes: m2cai16-tool-locations (Jin et al., "Tool detection and operative skill assessment in surgical
 //! videos", 2018) and other sets in the layouts of Pascal VOC and YOLO.
 //!
 //! ```text
@@ -20,7 +20,7 @@ fn has_ending(path: &Path, ending: &str) -> bool {
     path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending))
 }
 
-/// A sequence of pictures with the labels of their names.
+/// A sequence of images with the labels of their names.
 fn sequence(
     data_set: &'static str,
     name: String,

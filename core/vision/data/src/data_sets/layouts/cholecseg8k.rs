@@ -6,9 +6,9 @@
 //!                       frame_80_endo_mask.png, frame_80_endo_color_mask.png   not read
 //! ```
 //!
-//! Numbers of the watershed masks: 50 background, 11 abdominal wall, 21 liver, 13 gastrointestinal tract, 12 fat, 31 grasper, 23 connective tissue,
-//! 24 blood, 25 cystic duct, 32 L-hook electrocautery, 22 gallbladder, 33 hepatic vein, 5 liver ligament. The data set does not publish them; public
-//! loaders agree on them. Only instruments become boxes.
+//! Numbers of the watershed masks: 50 background, 11 abdominal wall, 21 liver, 13 gastrointestinal tract, 12 fat, 31
+//! grasper, 23 connective tissue, 24 blood, 25 cystic duct, 32 L-hook electrocautery, 22 gallbladder, 33 hepatic vein,
+//! 5 liver ligament. The data set does not publish them; public loaders agree on them. Only instruments become boxes.
 
 use std::path::PathBuf;
 use std::sync::Arc;

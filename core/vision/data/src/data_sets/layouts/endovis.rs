@@ -1,9 +1,9 @@
-//! EndoVis: the robotic instrument segmentation challenge of 2017 (Allan et al., 2019, arXiv:1902.06426) and the scene segmentation challenge of
-//! 2018 (Allan et al., 2020, arXiv:2001.11190).
+//! EndoVis: the robotic instrument segmentation challenge of 2017 (Allan et al., 2019, arXiv:1902.06426) and the scene
+//! segmentation challenge of 2018 (Allan et al., 2020, arXiv:2001.11190).
 //!
 //! ```text
 //! 2017  instrument_dataset_1/camera_calibration.txt    made for 1280x1024; mm
-//!                            left_frames, right_frames  frame000.png: 1920x1080 with a black border, the picture in its middle
+//!                            left_frames, right_frames  frame000.png: 1920x1080 with a black border, the image in its middle
 //!                            ground_truth/Left_Prograsp_Forceps_labels/frame000.png   one instrument a folder; its parts have different values
 //! 2018  seq_1/camera_calibration.txt
 //!             left_frames, right_frames                 frame000.png: 1280x1024
@@ -11,9 +11,9 @@
 //!       labels.json                                     names and colours
 //! ```
 //!
-//! Who rectified the set of 2017 found that its frames are interlaced, its views not quite of one instant, and the calibrations of sets 3 and 6 off
-//! by 20 rows. Some copies call the folders `left_frame` and `right_frame`. The masks of the test set of 2017 (`TypeSegmentation` and others) are
-//! not read.
+//! Who rectified the set of 2017 found that its frames are interlaced, its views not quite of one instant, and the
+//! calibrations of sets 3 and 6 off by 20 rows. Some copies call the folders `left_frame` and `right_frame`. The masks
+//! of the test set of 2017 (`TypeSegmentation` and others) are not read.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -91,7 +91,7 @@ fn colours(folder: &Folder, remarks: &mut Vec<String>) -> Vec<(String, [u8; 3])>
     THINGS.iter().map(|(name, colour)| ((*name).to_owned(), stated(name).unwrap_or(*colour))).collect()
 }
 
-/// Masks of 2018: one picture with a colour for each class.
+/// Masks of 2018: one image with a colour for each class.
 fn scene(folder: &Folder, left: &[PathBuf], remarks: &mut Vec<String>) -> Option<Masks> {
     let masks = folder.pictures("labels");
     let masks = by_stem(&masks);

@@ -1,5 +1,6 @@
-//! Rectified Hamlyn sequences, as published with Endo-Depth-and-Motion (Recasens et al., 2021; davidrecasens/EndoDepthAndMotion). The sequences
-//! are those of the Hamlyn Centre Laparoscopic / Endoscopic Video Datasets.
+//! Rectified Hamlyn sequences, as published with Endo-Depth-and-Motion (Recasens et al., 2021;
+//! davidrecasens/EndoDepthAndMotion). The sequences are those of the Hamlyn Centre Laparoscopic / Endoscopic Video
+//! Datasets.
 //!
 //! ```text
 //! rectified01/[rectified01/]image01/0000000000.jpg   left view

@@ -1,10 +1,10 @@
-//! KITTI (Geiger et al., 2012, 2013; Menze and Geiger, 2015; cvlibs.net/datasets/kitti): stereo of 2012 and 2015, odometry, raw recordings. All
-//! views are rectified.
+//! KITTI (Geiger et al., 2012, 2013; Menze and Geiger, 2015; cvlibs.net/datasets/kitti): stereo of 2012 and 2015,
+//! odometry, raw recordings. All views are rectified.
 //!
 //! ```text
 //! stereo 2015  training/image_2, image_3                  000000_10.png and _11.png, in colours
 //!              training/disp_occ_0/000000_10.png          disparity x 256, 0 unknown
-//!              training/calib_cam_to_cam/000000.txt       often in data_scene_flow_calib/training beside the pictures' folder
+//!              training/calib_cam_to_cam/000000.txt       often in data_scene_flow_calib/training beside the images' folder
 //! stereo 2012  training/colored_0, colored_1; image_0, image_1 (gray)
 //!              training/disp_occ/000000_10.png; training/calib/000000.txt
 //! odometry     sequences/00/image_2, image_3 (or image_0, image_1), calib.txt
@@ -37,7 +37,7 @@ fn is_text(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending == "txt")
 }
 
-/// Calibration files of single pictures by their number, as `000000` of `000000_10.png`.
+/// Calibration files of single images by their number, as `000000` of `000000_10.png`.
 fn texts(folder: &Folder) -> BTreeMap<String, PathBuf> {
     let mut folders = ["calib_cam_to_cam", "calib"].map(|name| folder.at(name)).to_vec();
     // The archive of the calibrations of 2015 unpacks beside that of the pictures.

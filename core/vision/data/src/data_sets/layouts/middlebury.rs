@@ -1,4 +1,5 @@
-//! Middlebury stereo (Scharstein et al., 2001 to 2021; vision.middlebury.edu/stereo/data). All views are rectified; a scene is one pair.
+//! Middlebury stereo (Scharstein et al., 2001 to 2021; vision.middlebury.edu/stereo/data). All views are rectified; a
+//! scene is one pair.
 //!
 //! ```text
 //! 2014, 2021  Adirondack-perfect/im0.png, im1.png, calib.txt, disp0.pfm
@@ -7,8 +8,9 @@
 //! 2001, 2003  cones/im2.png, im6.png, disp2.png
 //! ```
 //!
-//! PFM files hold px, infinite where unknown. The older pictures hold disparity times a factor that depends on their size, 0 unknown: 1, 2, 3 at full,
-//! half and third size (2005, 2006), 1, 2, 4 at full, half and quarter size (2003), 8 (2001). Those sets come without calibration.
+//! PFM files hold px, infinite where unknown. The older images hold disparity times a factor that depends on their
+//! size, 0 unknown: 1, 2, 3 at full, half and third size (2005, 2006), 1, 2, 4 at full, half and quarter size (2003), 8
+//! (2001). Those sets come without calibration.
 
 use crate::data_sets::folder::Folder;
 use crate::data_sets::sequence::{CalibrationFiles, Holds, Sequence, Truth};

@@ -1,4 +1,4 @@
-//! Pairs of pictures in two folders, as written by many programs: `left` and `right`, paired by the numbers in their
+//! Pairs of images in two folders, as written by many programs: `left` and `right`, paired by the numbers in their
 //! names.
 //!
 //! A calibration next to the folders is read from `calibration`, `scope` or `stereo` with the extension .yml or .yaml.

@@ -1,4 +1,5 @@
-//! SCARED: "Stereo Correspondence and Reconstruction of Endoscopic Data" (Allan et al., 2021; EndoVis sub-challenge of 2019).
+//! SCARED: "Stereo Correspondence and Reconstruction of Endoscopic Data" (Allan et al., 2021; EndoVis sub-challenge of
+//! 2019).
 //!
 //! ```text
 //! dataset_1/keyframe_1/endoscope_calibration.yaml   OpenCV's FileStorage: M1, D1, M2, D2, R, T (mm)

@@ -1,5 +1,5 @@
-//! StereoMIS: da Vinci recordings of porcine and human operations (Hayoz et al., "Learning how to robustly estimate camera pose in endoscopic
-//! videos", 2023; zenodo.org/records/7727691).
+//! StereoMIS: da Vinci recordings of porcine and human operations (Hayoz et al., "Learning how to robustly estimate
+//! camera pose in endoscopic videos", 2023; zenodo.org/records/7727691).
 //!
 //! ```text
 //! P1/StereoCalibration.ini   raw cameras, mm

@@ -1,4 +1,4 @@
-//! Boxes of objects in a picture, in the formats of VOC and YOLO: one file for each picture.
+//! Boxes of objects in an image, in the formats of VOC and YOLO: one file for each image.
 
 mod voc;
 mod yolo;

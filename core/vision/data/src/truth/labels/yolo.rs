@@ -11,7 +11,7 @@ const MAX_CLASSES: usize = 10_000;
 /// Shape of an object.
 #[derive(Clone, Debug, PartialEq)]
 pub enum YoloShape {
-    /// Left, top, width, height, in shares of the picture's width and height.
+    /// Left, top, width, height, in shares of the image's width and height.
     Box([f64; 4]),
     /// Corners of an outline, in shares of width and height.
     Polygon(Vec<[f64; 2]>),

@@ -124,7 +124,8 @@ impl Coverage {
     }
 }
 
-/// Calls `run` with the first column and one past the last of what the views cover together in a row, from left to right.
+/// Calls `run` with the first column and one past the last of what the views cover together in a row, from left to
+/// right.
 fn each_run(spans: &[Vec<Span>], y: usize, mut run: impl FnMut(usize, usize)) {
     let mut row = [Span::default(); MAX_VIEWS];
     let mut count = 0;

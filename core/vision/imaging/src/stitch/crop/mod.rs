@@ -72,7 +72,8 @@ impl Crop {
         })
     }
 
-    /// How much larger the covered area of the rectangle is than the lit part of the reference view, percent; `None` before the first look.
+    /// How much larger the covered area of the rectangle is than the lit part of the reference view, percent; `None`
+    /// before the first look.
     pub fn gain_percent(&self) -> Option<f64> {
         self.gain_percent
     }
@@ -82,7 +83,8 @@ impl Crop {
         self.held.is_none() || self.to_look_s <= 0.0
     }
 
-    /// A canvas that holds all of `bounds`, for the next [`update`](Self::update). `columns`: those of the reference view.
+    /// A canvas that holds all of `bounds`, for the next [`update`](Self::update). `columns`: those of the reference
+    /// view.
     pub fn whole(&mut self, bounds: Bounds, columns: usize) -> Canvas {
         let cell_px = (columns / COLUMNS_PER_CELL / CELL_STEP_PX * CELL_STEP_PX).max(CELL_STEP_PX);
         self.coverage.canvas(bounds, cell_px)

@@ -3,7 +3,8 @@
 use crate::Simd;
 use crate::simd::dispatch;
 
-/// Lower half of a symmetric band matrix, column by column: `a[k * (band + 1) + d]` is the element in row `k + d`, column `k`.
+/// Lower half of a symmetric band matrix, column by column: `a[k * (band + 1) + d]` is the element in row `k + d`,
+/// column `k`.
 #[derive(Clone, Debug, Default)]
 pub struct BandMatrix {
     order: usize,

@@ -36,7 +36,7 @@ impl Doubt {
         self.px.clone_from(&other.px);
     }
 
-    /// Becomes the doubt on pictures that are larger by a factor, in pixels of the small ones.
+    /// Becomes the doubt on images that are larger by a factor, in pixels of the small ones.
     pub fn enlarge(&mut self, small: &Self, factor: usize) {
         self.copy_from(small);
         self.cell_px *= factor;

@@ -26,8 +26,9 @@ const MARGIN_CELLS: f64 = 2.5;
 const SPARE_CELLS: i32 = 6;
 /// Maximum number of vertices; a homography that needs more is implausible.
 const MAX_VERTICES: usize = 8192;
-/// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the sides towards which its camera
-/// stands, and on the others, where the perspective of far corners is no overlap.
+/// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the
+/// sides towards which its camera stands, and on the others, where the perspective of far corners does not count as
+/// overlap.
 const BEYOND_CELLS: [f64; 2] = [1.0, 4.0];
 /// Reference number of observations per cell and direction for the stiffness; more observations have less weight each.
 const WEIGHED_OBSERVATIONS: f64 = 2.0;
@@ -244,7 +245,7 @@ impl MeshFollower {
         self.scaled.clear();
     }
 
-    /// The mesh, and that of the reference view, between pictures as large as the map.
+    /// The mesh, and that of the reference view, between images as large as the map.
     pub(super) fn of_map(&self) -> [&Mesh; 2] {
         [&self.mesh, &self.reference]
     }
@@ -518,7 +519,7 @@ impl MeshFollower {
         borders(cells.map(|cells| cells * self.lattice.cell_px as f64), left_from_right, left, right)
     }
 
-    /// Columns and rows of the vertices that the picture depends on: without those beyond a border where the mesh is
+    /// Columns and rows of the vertices that the image depends on: without those beyond a border where the mesh is
     /// extrapolated.
     fn needed(&self, borders: &[Option<Border>; 4], scale: f64) -> [Range<usize>; 2] {
         let lattice = self.lattice;

@@ -73,7 +73,7 @@ pub struct Arrangement {
     pub scale: f64,
     /// Overlap of the views, in cells: first and last column and row.
     pub shared: [[usize; 2]; 2],
-    /// Pixels of the pictures per pixel of the map.
+    /// Pixels of the images per pixel of the map.
     pub factor: usize,
     /// Distance around an instrument in which its view is kept, px of the map; half of it with certainty.
     pub margin_px: f64,
@@ -365,7 +365,7 @@ impl Instruments {
             .find(|label| *label != 0)
     }
 
-    /// Adds the unmatched cells beside instruments, with the parallax of the nearest matched one.
+    /// Adds the unmatched cells next to instruments, with the parallax of the nearest matched one.
     fn add_unmatched(&mut self, how: &Arrangement, hints: &InstrumentHints) {
         self.queue.clear();
         self.queue.extend((0..self.own.len()).filter(|cell| self.own[*cell] != 0));
@@ -463,7 +463,8 @@ impl Instruments {
         }
     }
 
-    /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it before.
+    /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it
+    /// before.
     fn choose(&mut self, how: &Arrangement) {
         let axis = how.axis();
         // Count, first and second moments.

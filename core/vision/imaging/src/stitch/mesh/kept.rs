@@ -66,7 +66,7 @@ impl KeptCells {
         self.cells.clone_from(&other.cells);
     }
 
-    /// Becomes the one on pictures that are larger by a factor.
+    /// Becomes the one on images that are larger by a factor.
     pub fn enlarge(&mut self, small: &Self, factor: usize) {
         self.copy_from(small);
         self.cell_px *= factor;

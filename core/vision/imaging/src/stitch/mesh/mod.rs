@@ -116,7 +116,8 @@ impl Mesh {
         (fits && finite).then(|| Self { lattice, source, ..Self::default() })
     }
 
-    /// A mesh from its vertices: `source(x, y)` is the position in the other view of the point `(x, y)` of the reference plane.
+    /// A mesh from its vertices: `source(x, y)` is the position in the other view of the point `(x, y)` of the
+    /// reference plane.
     ///
     /// `None` for fewer than 2 x 2 vertices, an empty cell, or a position that is not finite.
     pub fn new(lattice: Lattice, source: impl Fn(Point) -> Point) -> Option<Self> {

@@ -17,7 +17,8 @@ const HALF_SPREAD_PX: f32 = 0.7;
 const MAX_CLIMB_PX: f32 = 8.0;
 /// Regularises slopes if samples are in a line or a corner, px^2.
 const FLAT_PX2: f32 = 2.0;
-/// Disparities of neighbouring cells change by at most this much per px where they lie on one surface, and by [`ONE_STEP_PX`] more for their noise.
+/// Disparities of neighbouring cells change by at most this much per px where they lie on one surface, and by
+/// [`ONE_STEP_PX`] more for their noise.
 const ONE_SLOPE: f64 = 0.8;
 const ONE_STEP_PX: f64 = 1.0;
 
@@ -26,7 +27,7 @@ const ONE_STEP_PX: f64 = 1.0;
 pub struct Observation {
     /// Their mean position in the reference image, px.
     pub at: [f64; 2],
-    /// The same point in the other picture, px.
+    /// The same point in the other image, px.
     pub source: [f64; 2],
     /// 0 if unknown, up to 1; negative if there are too few matches, which can only show small objects in front.
     pub weight: f32,

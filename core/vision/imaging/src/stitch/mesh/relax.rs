@@ -106,7 +106,8 @@ impl Relax {
         self.smooth.clone_from(&self.trial);
     }
 
-    /// Sets `trial` to the least squares of the distances from `mean` plus `smoothness` times the squares of first differences.
+    /// Sets `trial` to the least squares of the distances from `mean` plus `smoothness` times the squares of first
+    /// differences.
     fn fit(&mut self, smoothness: f64) {
         let count = self.mean.len();
         self.trial.clone_from(&self.mean);
