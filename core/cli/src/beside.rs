@@ -52,7 +52,7 @@ pub(crate) fn lab() -> Result<End> {
 
 /// Replaces this process by another program with the arguments that `arrange` adds. Returns only on failure.
 pub(crate) fn start(program: &str, arrange: impl FnOnce(&mut Command)) -> Result<End> {
-    let file = file(program).context("this program's own place is not known")?;
+    let file = file(program).context("the path of this program is unknown")?;
     if !file.is_file() {
         log!(
             "error: the program of this command is missing: {} does not exist\n  help: `cargo xtask build` builds it",

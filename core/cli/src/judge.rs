@@ -208,7 +208,7 @@ fn idle(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
     let from_idle = node.never_got.iter().any(|o| maker(o).is_none_or(|m| m.made.is_none() && m.count == 0));
     if !from_source.is_empty() {
         let outputs = from_source.iter().map(|o| format!("`{o}`")).collect::<Vec<_>>().join(", ");
-        verdict.error(format!("node `{id}` never ran: {outputs} never gave a picture or packet"));
+        verdict.error(format!("node `{id}` never ran: {outputs} returned no packet"));
         return;
     }
     if from_idle {

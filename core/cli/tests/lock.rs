@@ -273,7 +273,7 @@ fn a_signature_is_believed_only_from_a_trusted_key() {
         let (code, said) = bench.run(words);
         assert!(code != 0 && said.contains(part), "{words}: {code}: {said}");
     };
-    refused(run, "was never locked");
+    refused(run, "is not locked");
     // Unsigned: accepted as long as no key is trusted.
     assert_eq!(bench.run("lock g.toml").0, 0);
     let (code, said) = bench.run(run);

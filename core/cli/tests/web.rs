@@ -287,7 +287,7 @@ fn an_address_that_is_taken_or_none_is_an_error_before_the_graph_starts() {
     let folder = Folder::new("web-second", &[("graph.toml", GRAPH)]);
     for (address, code, words) in [
         (watched.address.as_str(), 1, "another program may use the port"),
-        ("nowhere", 2, "is no address to listen on"),
+        ("nowhere", 2, "is not an address to listen on"),
     ] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
         let output =

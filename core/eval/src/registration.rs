@@ -117,8 +117,8 @@ pub fn run_judged(
     let panoramas = output.packets.split_off(names.len());
     let mut tables = Vec::new();
     for packet in &output.packets {
-        let bytes = packet.as_ref().context("the judge saw nothing")?.bytes();
-        tables.push(Table::read(bytes).context("the judge's table could not be read")?);
+        let bytes = packet.as_ref().context("the evaluating node received no packets")?.bytes();
+        tables.push(Table::read(bytes).context("the table of the evaluating node is malformed")?);
     }
     Ok(JudgedRun { tables, panoramas, output })
 }
@@ -131,5 +131,5 @@ pub fn registration_of(session: &dyn Session, text: &str, frames: u64) -> Result
     let path = Path::new("bench.toml");
     let wiring = Wiring::of(&GraphText::parse(path, text), &Catalog::default())?;
     let run = run_judged(session, &wiring, JudgeInputs::Registration, path, frames)?;
-    registration(run.tables.first().context("there is no judge")?)
+    registration(run.tables.first().context("the graph has no evaluating node")?)
 }

@@ -120,8 +120,9 @@ impl Ruler {
             let text = graph("bowel", distance_mm, &points);
             let ports = [("scope", "depth"), ("lengths", "table"), ("depths", "table")];
             let seen = run::run(session, &plan(&text, &ports))?;
-            let packet = |i: usize| seen.packets[i].as_ref().with_context(|| format!("{:?} gave nothing", ports[i]));
-            let depth = floats(packet(0)?).context("a map is cut off")?;
+            let packet =
+                |i: usize| seen.packets[i].as_ref().with_context(|| format!("{:?} returned no packet", ports[i]));
+            let depth = floats(packet(0)?).context("a map is truncated")?;
             ruler.add(distance_mm, &points, &depth, packet(1)?, packet(2)?)?;
         }
         Ok(ruler)
@@ -142,7 +143,7 @@ impl Ruler {
             [(u - cx) / FOCAL_PX * z, (v - cy) / FOCAL_PX * z, z]
         };
         let name = |at: [f64; 2]| points.iter().position(|p| *p == at).map_or('?', letter);
-        for row in &Table::read(lengths.bytes()).context("the table is cut off")?.rows {
+        for row in &Table::read(lengths.bytes()).context("the table is truncated")?.rows {
             let [u0, v0, u1, v1, found_mm, stated_mm] = row[..] else { continue };
             let (a, b) = (place([u0, v0]), place([u1, v1]));
             let true_mm = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt();
@@ -151,7 +152,7 @@ impl Ruler {
                 self.lengths.push(Measured { distance_mm, points, true_mm, found_mm, stated_mm });
             }
         }
-        for row in &Table::read(depths.bytes()).context("the table is cut off")?.rows {
+        for row in &Table::read(depths.bytes()).context("the table is truncated")?.rows {
             let [u, v, found_mm, stated_mm] = row[..] else { continue };
             if found_mm.is_finite() {
                 let (points, true_mm) = (name([u, v]).to_string(), place([u, v])[2]);

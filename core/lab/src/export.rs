@@ -134,7 +134,7 @@ fn failed(error: &ExportError) -> End {
 /// Writes a file of rerun. `None` if it failed and the interpreter reported why.
 fn write_rerun(arguments: &Arguments, export: &Export<'_>, path: &Path) -> Result<Option<Vec<Line>>> {
     let mut python = python_module(RERUN_MODULE)
-        .context("rerun files are written by Python; name an interpreter in PANOSCOPE_PYTHON")?;
+        .context("rerun files are written by Python; set PANOSCOPE_PYTHON to an interpreter")?;
     python.arg(&arguments.recording).arg(path);
     python.args(["--from", &arguments.from.to_string()]);
     if let Some(to) = arguments.to {
@@ -161,7 +161,7 @@ fn write_rerun(arguments: &Arguments, export: &Export<'_>, path: &Path) -> Resul
         }
         return Ok(None);
     }
-    Ok(Some(serde_json::from_slice(&output.stdout).context("Python did not say what it wrote")?))
+    Ok(Some(serde_json::from_slice(&output.stdout).context("Python did not report its files")?))
 }
 
 /// A port in the list of written ports.

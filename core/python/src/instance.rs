@@ -99,7 +99,7 @@ pub unsafe extern "C" fn open(call: *mut abi::OpenCall, instance: *mut *mut c_vo
     // SAFETY: the contract: the call and what it points to live until this returns; the table lives until the process ends.
     let (call, host) = unsafe { (&*call, &*(*call).host) };
     let Some(node_type) = panoscope_host::isolate::child::opening() else {
-        fail(host, call.call, "a node in Python runs in a process of its own only");
+        fail(host, call.call, "a node in Python must run in a separate process");
         return abi::STATUS_INVALID;
     };
     guarded(host, call.call, |py| {

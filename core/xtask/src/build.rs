@@ -97,8 +97,8 @@ pub struct Windows {
 /// The build fails; cargo prints why.
 pub fn build_windows(workspace: &Workspace, profile: Profile) -> Result<Windows> {
     let artifacts = compile(workspace, profile, &[EDITOR, THEATRE])?;
-    let editor = artifacts.editor.with_context(|| format!("{EDITOR} makes no program `{EDITOR}`"))?;
-    let theatre = artifacts.theatre.with_context(|| format!("{THEATRE} makes no program `{THEATRE}`"))?;
+    let editor = artifacts.editor.with_context(|| format!("{EDITOR} produced no program `{EDITOR}`"))?;
+    let theatre = artifacts.theatre.with_context(|| format!("{THEATRE} produced no program `{THEATRE}`"))?;
     Ok(Windows { editor, theatre })
 }
 
@@ -240,7 +240,7 @@ struct Artifacts {
 impl Artifacts {
     fn built(&self) -> Result<Built> {
         let program =
-            self.program.clone().with_context(|| format!("{PROGRAM_PACKAGE} makes no program `{PROGRAM}`"))?;
+            self.program.clone().with_context(|| format!("{PROGRAM_PACKAGE} produced no program `{PROGRAM}`"))?;
         Ok(Built { plugin_dir: program.with_file_name("plugins"), program })
     }
 
@@ -257,7 +257,7 @@ impl Artifacts {
     fn lay_out_python(&self, workspace: &Workspace, package: &Path) -> Result<()> {
         let folder = workspace.root.join(PYTHON);
         let native =
-            self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} makes no shared library"))?;
+            self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} produced no shared library"))?;
         place_files(&folder.join("panoscope"), package, &PACKAGE_FILES, Means::Link)?;
         place(native, &package.join(NATIVE), Means::Link)
     }
@@ -298,7 +298,7 @@ impl Artifacts {
 fn place_plugin(plugin: &Plugin, libraries: &BTreeMap<PathBuf, PathBuf>, plugin_dir: &Path) -> Result<String> {
     let Some(library) = libraries.get(&plugin.folder) else {
         bail!(
-            "{} makes no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
+            "{} produced no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
             plugin.folder.display()
         );
     };
@@ -458,7 +458,7 @@ mod tests {
         // Another folder of the same name is not its crate.
         let libraries = BTreeMap::from([(PathBuf::from("/r/tests/plugins/stitch"), PathBuf::from("/t/other.so"))]);
         let error = lay_out(&[stitch()], &libraries, &folder).unwrap_err();
-        assert!(error.to_string().contains("/r/plugins/stitch makes no shared library"), "{error}");
+        assert!(error.to_string().contains("/r/plugins/stitch produced no shared library"), "{error}");
         fs::remove_dir_all(&folder).unwrap();
     }
 

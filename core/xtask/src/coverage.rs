@@ -381,14 +381,15 @@ pub fn coverage(workspace: &Workspace, work: &Path, lists_missed: bool) -> Resul
 
 /// Folder of `llvm-profdata` and `llvm-cov`, of the nightly toolchain.
 fn llvm_tools() -> Result<PathBuf> {
-    let sysroot = process::capture(nightly("rustc").args(["--print", "sysroot"]))
-        .context("coverage needs the nightly toolchain: `rustup toolchain install nightly --component llvm-tools`")?;
+    let sysroot = process::capture(nightly("rustc").args(["--print", "sysroot"])).context(
+        "coverage needs the nightly toolchain: run `rustup toolchain install nightly --component llvm-tools`",
+    )?;
     let machines = Path::new(sysroot.trim()).join("lib/rustlib");
     let folders = std::fs::read_dir(&machines).with_context(|| format!("cannot read {}", machines.display()))?;
     let mut folders = folders.flatten().map(|entry| entry.path().join("bin"));
     folders
         .find(|folder| folder.join("llvm-cov").is_file() && folder.join("llvm-profdata").is_file())
-        .context("coverage needs LLVM's tools: `rustup component add llvm-tools --toolchain nightly`")
+        .context("coverage needs LLVM's tools: run `rustup component add llvm-tools --toolchain nightly`")
 }
 
 /// The program in the messages of `cargo test --no-run`.

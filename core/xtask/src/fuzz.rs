@@ -46,7 +46,7 @@ impl Request {
         while let Some(word) = words.next() {
             match word.as_str() {
                 "--seconds" => {
-                    let number = words.next().context("--seconds takes a number")?;
+                    let number = words.next().context("--seconds needs a number")?;
                     request.seconds = number.parse().with_context(|| format!("--seconds {number}"))?;
                 }
                 "--keep" => request.keep = true,

@@ -20,7 +20,7 @@ const BLESS: &str = "PANOSCOPE_BLESS";
 pub fn header(workspace: &Workspace) -> Result<()> {
     process::run(workspace.cargo().args(["test", "--quiet", "--package", "panoscope-abi"]).env(BLESS, "1"))?;
     let header = workspace.root.join("core/contract/abi/panoscope.h");
-    ensure!(header.is_file(), "the tests of core/contract/abi wrote no {}", header.display());
+    ensure!(header.is_file(), "the tests of core/contract/abi did not write {}", header.display());
     show_changes(workspace, "core/contract/abi")
 }
 

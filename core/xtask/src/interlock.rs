@@ -33,7 +33,7 @@ impl Parts {
             [] => Ok(Self { coverage: true, mutants: true }),
             ["--coverage"] => Ok(Self { coverage: true, mutants: false }),
             ["--mutants"] => Ok(Self { coverage: false, mutants: true }),
-            other => bail!("interlock takes nothing, `--coverage` or `--mutants`, not `{}`", other.join(" ")),
+            other => bail!("unknown argument `{}`: give `--coverage`, `--mutants` or nothing", other.join(" ")),
         }
     }
 }
@@ -74,7 +74,7 @@ fn coverage(workspace: &Workspace) -> Result<()> {
     tools.put_into(&mut cargo)?;
     println!("{}", process::shown(&cargo));
     let text = process::capture(&mut cargo).context(
-        "branch coverage needs the nightly compiler and its LLVM tools: `rustup toolchain install nightly --component llvm-tools`",
+        "branch coverage needs the nightly compiler and its LLVM tools: run `rustup toolchain install nightly --component llvm-tools`",
     )?;
     let files = covered(&text)?;
     let mut missed = Vec::new();
@@ -91,7 +91,7 @@ fn coverage(workspace: &Workspace) -> Result<()> {
         bail!("cargo llvm-cov reports no file in {FILES}");
     }
     if !missed.is_empty() {
-        bail!("the tests leave out lines or branches of {}", missed.join(", "));
+        bail!("the tests do not cover all lines and branches of {}", missed.join(", "));
     }
     Ok(())
 }
@@ -150,7 +150,7 @@ fn mutants(workspace: &Workspace) -> Result<()> {
         score.percent()
     );
     if score.percent() < MIN_SCORE {
-        bail!("the tests find {:.1} % of the mutants, {MIN_SCORE} % are needed", score.percent());
+        bail!("the tests detect {:.1} % of the mutants, but {MIN_SCORE} % are required", score.percent());
     }
     Ok(())
 }

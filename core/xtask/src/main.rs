@@ -146,7 +146,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let (dir, symbols) = match rest {
                 [dir] => (dir, install::Symbols::Stripped),
                 [dir, flag] if flag == "--symbols" => (dir, install::Symbols::Kept),
-                _ => bail!("install takes the folder to install into, and `--symbols` after it"),
+                _ => bail!("usage: install FOLDER [--symbols]"),
             };
             setup::ensure(&[Purpose::Build])?;
             install::install(&Workspace::locate()?, dir.as_ref(), Profile::Release, symbols)?;
@@ -208,7 +208,7 @@ impl Packaging {
         let dir = match folders[..] {
             [] => workspace.target.join(command),
             [dir] => dir.into(),
-            _ => bail!("{command} takes one folder to write into"),
+            _ => bail!("{command} needs exactly one folder"),
         };
         Ok(Self { dir, profile, checks: has("--check") })
     }

@@ -26,7 +26,7 @@ pub fn report_file(workspace: &Workspace, sanitizer: Option<Sanitizer>) -> PathB
 /// The compiler does not name its target.
 pub fn run(cargo: &mut Command) -> Result<&mut Command> {
     let version = process::capture(Command::new("rustc").arg("-vV"))?;
-    let target = version.lines().find_map(|line| line.strip_prefix("host: ")).context("`rustc -vV` names no host")?;
+    let target = version.lines().find_map(|line| line.strip_prefix("host: ")).context("`rustc -vV` printed no host")?;
     let runner = format!("CARGO_TARGET_{}_RUNNER", target.to_uppercase().replace('-', "_"));
     let removed = LINT_VARIABLES.map(|name| format!("-u {name}")).join(" ");
     cargo.env(runner, format!("env {removed}"));

@@ -45,11 +45,11 @@ impl Sanitizer {
     /// The toolchain or the sources of the standard library, which ThreadSanitizer needs, are missing.
     pub fn cargo(self, workspace: &Workspace) -> Result<Command> {
         let sysroot = process::capture(nightly("rustc").args(["--print", "sysroot"]))
-            .context("sanitizers need the nightly toolchain: `rustup toolchain install nightly`")?;
+            .context("sanitizers need the nightly toolchain: run `rustup toolchain install nightly`")?;
         let library = Path::new(sysroot.trim()).join("lib/rustlib/src/rust/library/Cargo.lock");
         if self == Self::Thread && !library.is_file() {
             bail!(
-                "ThreadSanitizer needs the sources of the standard library: `rustup component add rust-src --toolchain nightly`"
+                "ThreadSanitizer needs the sources of the standard library: run `rustup component add rust-src --toolchain nightly`"
             );
         }
         let mut cargo = nightly("cargo");

@@ -130,7 +130,7 @@ pub fn screens(workspace: &Workspace, args: &[String]) -> Result<()> {
         command.env("DISPLAY", &screen.display).env("LIBGL_ALWAYS_SOFTWARE", "1").env_remove("WAYLAND_DISPLAY");
         command.env("PANOSCOPE_PLUGIN_PATH", &built.plugin_dir);
         process::run(&mut command)?;
-        ensure!(file.is_file(), "the picture {} was not taken", file.display());
+        ensure!(file.is_file(), "the screenshot {} was not taken", file.display());
     }
     Ok(())
 }

@@ -27,7 +27,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         }
         Some(path) => path.clone(),
         None => panoscope_host::audit::folder()
-            .context("neither XDG_STATE_HOME nor HOME is set; name the folder of the log")?,
+            .context("neither XDG_STATE_HOME nor HOME is set; give the folder of the log")?,
     };
     let report = panoscope_host::audit::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
     if !arguments.verify {

@@ -23,7 +23,7 @@ enum ModelFileError {
     Unreadable { path: PathBuf, cause: std::io::Error },
     #[error("{path} is not a file, or has more than {MAX_BYTES} bytes", path = path.display())]
     NotAFile { path: PathBuf },
-    #[error("{path} is not a whole ONNX file: {cause}", path = path.display())]
+    #[error("{path} is not a complete ONNX file: {cause}", path = path.display())]
     Malformed { path: PathBuf, cause: panoscope_base::onnx::Malformed },
 }
 

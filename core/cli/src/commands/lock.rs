@@ -121,7 +121,7 @@ fn new_key(file: &Path) -> Result<End> {
 
 fn verify(path: &Path, text: &GraphText, keys: &Keys) -> Result<End> {
     let Some(was) = Lock::read(path)? else {
-        log!("error: {} was never locked: {} is not there", path.display(), lock_path(path).display());
+        log!("error: {} is not locked: {} does not exist", path.display(), lock_path(path).display());
         return Ok(End::Wrong);
     };
     let signed_by = match was.check_signature(path, &keys.trusted()?) {

@@ -147,7 +147,7 @@ type Opened = (Ready, Option<Arc<Seal>>);
 fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, String>> {
     if arguments.isolated.is_on() && (arguments.watch || arguments.lock) {
         let why = "a changed file may name other plugins, and a lock names its own";
-        return Ok(Err(format!("error: --isolate-plugins goes neither with --watch nor with --lock: {why}")));
+        return Ok(Err(format!("error: --isolate-plugins cannot be used with --watch or --lock: {why}")));
     }
     let path = &arguments.graph;
     let rendered = |diagnostics: Diagnostics| diagnostics.render(stderr_color());
@@ -424,7 +424,7 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphO
                 files.set_files(parts.into_iter(), applied.is_err());
                 results.push(applied);
             }
-            Err(diagnostics) => log!("{}\nthe old graph runs on", diagnostics.render(stderr_color()).trim_end()),
+            Err(diagnostics) => log!("{}\nthe old graph keeps running", diagnostics.render(stderr_color()).trim_end()),
         }
     }
     for result in results {

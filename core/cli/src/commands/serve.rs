@@ -37,7 +37,7 @@ pub(super) fn machine_program() -> Result<Command> {
     let folder = panoscope_base::program::folder().unwrap_or_default();
     let program = folder.join(MACHINE_PROGRAM);
     if !program.is_file() {
-        bail!("the program {} is missing, which links machines; install Panoscope again", program.display());
+        bail!("the program {}, which links machines, is missing; install Panoscope again", program.display());
     }
     Ok(Command::new(program))
 }

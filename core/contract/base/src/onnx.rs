@@ -90,7 +90,7 @@ impl<'a> Reader<'a> {
         let (mut value, mut shift) = (0u64, 0);
         loop {
             if *at >= end {
-                return Err(Malformed { reason: "it ends inside a number", offset: *at });
+                return Err(Malformed { reason: "it ends within a number", offset: *at });
             }
             let byte = self.data[*at];
             *at += 1;
@@ -132,7 +132,7 @@ impl<'a> Reader<'a> {
 
     fn message(&mut self, kind: Message, range: Range<usize>, depth: usize) -> Result<(), Malformed> {
         if depth > 4 * MAX_DEPTH {
-            return Err(Malformed { reason: "graphs stand in graphs more than 16 deep", offset: range.start });
+            return Err(Malformed { reason: "graphs are nested more than 16 levels deep", offset: range.start });
         }
         let mut at = range.start;
         let (mut key, mut value) = (0..0, 0..0);
@@ -165,7 +165,7 @@ pub fn weight_files(model: &[u8]) -> Result<Vec<String>, Malformed> {
     let mut reader = Reader::new(model);
     reader.message(Message::Model, 0..model.len(), 0)?;
     if !reader.has_graph {
-        return Err(Malformed { reason: "it holds no graph", offset: model.len() });
+        return Err(Malformed { reason: "it has no graph", offset: model.len() });
     }
     reader.locations.sort();
     reader.locations.dedup();
@@ -218,7 +218,7 @@ pub fn unbundle(bytes: &[u8]) -> Result<Bundle, Malformed> {
         let field = reader.field(&mut at, bytes.len())?;
         let Some(inner) = field.bytes.filter(|_| field.number == BUNDLED) else {
             if !bundle.weights.is_empty() {
-                return Err(Malformed { reason: "parts of the model follow its weights", offset: before });
+                return Err(Malformed { reason: "the model has fields after its weights", offset: before });
             }
             continue;
         };
@@ -289,7 +289,7 @@ mod tests {
     fn files_of_weights_are_found() {
         assert_eq!(weight_files(&model("w.bin")).unwrap(), ["w.bin"]);
         assert_eq!(weight_files(&field(7, b"")).unwrap(), Vec::<String>::new());
-        assert_eq!(weight_files(b"").unwrap_err().reason, "it holds no graph");
+        assert_eq!(weight_files(b"").unwrap_err().reason, "it has no graph");
         assert!(weight_files(&model("w.bin")[..5]).is_err());
     }
 
@@ -314,6 +314,6 @@ mod tests {
             assert!(unbundle(&bytes[..cut]).is_err() || unbundle(&bytes[..cut]).unwrap().weights.len() < 2, "{cut}");
         }
         bytes.extend(field(7, b""));
-        assert!(unbundle(&bytes).unwrap_err().reason.contains("follow its weights"));
+        assert!(unbundle(&bytes).unwrap_err().reason.contains("after its weights"));
     }
 }

@@ -21,14 +21,16 @@ const SECRET_NAMES: [&str; 6] = ["user-pw", "proxy-pw", "password", "passwd", "p
 pub enum SecretError {
     /// No such environment variable.
     #[error(
-        "the environment variable `{name}`, which an address names, is not set; export it before the program starts"
+        "an address uses the environment variable `{name}`, which is not set; set it before the start of the program"
     )]
     NotSet {
         /// Name of the variable.
         name: String,
     },
     /// A variable that addresses may not use.
-    #[error("an address names the environment variable `{name}`; names of secrets begin with {VARIABLE_PREFIX}")]
+    #[error(
+        "an address uses the environment variable `{name}`; only names that begin with {VARIABLE_PREFIX} are allowed"
+    )]
     Name {
         /// Name of the variable.
         name: String,

@@ -147,7 +147,7 @@ fn checked_len(frame: &abi::Frame, channels: usize, size: usize) -> Result<usize
 #[cold]
 fn misfit(frame: &abi::Frame) -> NodeError {
     let abi::Frame { width, height, stride_bytes, len, .. } = *frame;
-    NodeError::new(format!("a {width}x{height} frame with {stride_bytes} bytes a row does not fit its {len} bytes"))
+    NodeError::new(format!("a {width}x{height} frame with {stride_bytes} bytes per row does not match its {len} bytes"))
 }
 
 /// The elements of a frame and its stride in elements. Checks that they lie inside the buffer.
@@ -168,7 +168,7 @@ impl<'f, P: Plane> FromFrame<'f> for Image<'f, P> {
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
         if frame.format != P::FORMAT {
-            return Err(NodeError::new(format!("format {} was expected, {} arrived", P::FORMAT, frame.format)));
+            return Err(NodeError::new(format!("expected format {}, got {}", P::FORMAT, frame.format)));
         }
         elements::<P::Element>(frame, P::CHANNELS)?;
         Ok(Self { frame, plane: PhantomData })
@@ -279,9 +279,7 @@ impl<'f> FromFrame<'f> for Picture<'f> {
             Bgr8::FORMAT => Bgr8::CHANNELS,
             Gray8::FORMAT => Gray8::CHANNELS,
             other => {
-                return Err(NodeError::new(format!(
-                    "a picture in colour or gray was expected, format {other} arrived"
-                )));
+                return Err(NodeError::new(format!("expected a colour or gray image, got format {other}")));
             }
         };
         let (data, stride) = elements(frame, channels)?;
@@ -393,10 +391,7 @@ impl<'f> FromFrame<'f> for Cloud<'f> {
         let points = frame.width as usize * frame.height as usize;
         let aligned = frame.data.addr().is_multiple_of(align_of::<abi::CloudPoint>());
         if frame.format != abi::FORMAT_CLOUD || frame.len / size_of::<abi::CloudPoint>() < points || !aligned {
-            return Err(NodeError::new(format!(
-                "a cloud of {points} points was expected, {} bytes arrived",
-                frame.len
-            )));
+            return Err(NodeError::new(format!("expected a cloud of {points} points, got {} bytes", frame.len)));
         }
         Ok(Self { frame })
     }

@@ -171,7 +171,7 @@ fn expect_kind(value: &abi::ParamValue, kind: u32) -> Result<()> {
 
 /// The error for a host that passed another number of values than declared.
 pub fn wrong_param_count(expected: usize, found: usize) -> NodeError {
-    NodeError::new(format!("{expected} parameters are declared, the host passed {found}"))
+    NodeError::new(format!("{expected} parameters are declared, but the host passed {found}"))
 }
 
 /// The literal after `default =`.

@@ -121,7 +121,7 @@ impl GStreamer {
             let pipeline = (self.parse_launch)(text.as_ptr(), null_mut());
             if pipeline.is_null() {
                 return Err(EvalError::Peer {
-                    reason: format!("GStreamer makes no pipeline of: {}", text.to_string_lossy()),
+                    reason: format!("GStreamer cannot make a pipeline of: {}", text.to_string_lossy()),
                 });
             }
             for (name, pad, times) in [(c"source", c"src", &mut left), (c"sink", c"sink", &mut arrived)] {

@@ -66,7 +66,7 @@ fn connect(port: u16) -> Result<TcpStream> {
                 return Ok(stream);
             }
             Err(error) if Instant::now() > end => {
-                return Err(EvalError::Peer { reason: format!("no program answers on port {port}: {error}") });
+                return Err(EvalError::Peer { reason: format!("no program responds on port {port}: {error}") });
             }
             Err(_) => std::thread::sleep(Duration::from_millis(20)),
         }
@@ -199,7 +199,7 @@ fn send(
             }
         }
         if is_over.load(Ordering::Acquire) {
-            return Err(EvalError::Peer { reason: "the program at the other end closed the connection".to_owned() });
+            return Err(EvalError::Peer { reason: "the peer closed the connection".to_owned() });
         }
         let content = if is_picture { picture(number, &mut pixels)? } else { transform(number) };
         bytes.clear();

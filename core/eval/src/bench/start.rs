@@ -33,7 +33,7 @@ fn once(parse: &dyn Fn() -> Result<GraphText>, settings: &[String]) -> Result<(f
     let options = Options { frames: Some(1), paced: false, ..Options::default() };
     let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
     if !engine.wait(Some(Duration::from_secs(60))) {
-        return Err(EvalError::Incomplete { what: "the first tick did not come through within a minute".to_owned() });
+        return Err(EvalError::Incomplete { what: "the first tick did not finish within a minute".to_owned() });
     }
     let through = begin.elapsed();
     engine.close(Duration::from_secs(10));

@@ -67,7 +67,7 @@ impl Rendered {
     /// Renders the views of the phantom in the graph at `path`, in the size `size`, if given.
     pub fn of(session: &dyn Session, path: &Path, given: &GraphOptions, size: Option<(u32, u32)>) -> Result<Self> {
         let text = run::flattened(path, given)?;
-        let graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
+        let graph: Table = text.parse().with_context(|| format!("{} is not a graph", path.display()))?;
         let (source, mut phantom) = source(&graph)?;
         if let Some((width, height)) = size
             && let Some(params) =
@@ -126,8 +126,8 @@ fn kind(node: &Value) -> &str {
 fn source(graph: &Table) -> Result<(String, Value)> {
     let nodes = graph.get("nodes").and_then(Value::as_table).context(NO_NODES)?;
     let found = nodes.iter().find(|(_, node)| kind(node) == SOURCE);
-    let (name, node) = found
-        .context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
+    let (name, node) =
+        found.context("the graph has no `phantom`: the bench replaces it by a recording of its views")?;
     Ok((name.clone(), node.clone()))
 }
 
@@ -170,7 +170,7 @@ fn played(graph: &Table, folder: &Path, name: &str, capture: &str) -> Result<Str
         let path = node.get("params").and_then(|p| p.get("path")).and_then(Value::as_str).unwrap_or("out");
         let file = Path::new(path).file_name().map_or_else(|| id.clone(), |f| f.to_string_lossy().into_owned());
         let place = folder.join(format!("{id}_{file}")).to_string_lossy().into_owned();
-        let node = node.as_table_mut().context("a node is a table")?;
+        let node = node.as_table_mut().context("a node must be a table")?;
         let params = node.entry("params").or_insert_with(|| Value::Table(Table::new()));
         if let Some(params) = params.as_table_mut() {
             params.insert("path".to_owned(), Value::String(place));

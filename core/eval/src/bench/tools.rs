@@ -92,7 +92,7 @@ fn peer(python: &Path, node: &str, model: &Path, picture: &Path, threads: usize,
             reason: format!("{}: {reason}; it needs onnxruntime, numpy and opencv-python-headless", python.display()),
         });
     }
-    serde_json::from_slice(&output.stdout).context("the peer answered something else")
+    serde_json::from_slice(&output.stdout).context("the output of the peer is malformed")
 }
 
 /// Measures; with `--quick` fewer frames and rounds.

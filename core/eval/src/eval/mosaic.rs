@@ -164,10 +164,10 @@ fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -
     };
     let seen = run::run(session, &plan)?;
     let table = |index: usize| -> Result<Table> {
-        let packet = seen.packets[index].as_ref().context("a table stayed empty")?;
-        Table::read(packet.bytes()).context("a table could not be read")
+        let packet = seen.packets[index].as_ref().context("a table is empty")?;
+        Table::read(packet.bytes()).context("a table is malformed")
     };
-    let node = seen.report.nodes.get("mosaic").context("the mosaic is not in the report")?;
+    let node = seen.report.nodes.get("mosaic").context("the report has no entry of the mosaic")?;
     Ok(JudgeInputs { rows: table(0)?, own: table(1)?, p50_ms: node.p50_ms, p99_ms: node.p99_ms, max_ms: node.max_ms })
 }
 
@@ -182,7 +182,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         ("--distance-mm", options.distance_mm, 15.0, 150.0),
     ] {
         if !(low..=high).contains(&value) {
-            return Err(EvalError::Options { reason: format!("{name} is {value}; give {low} to {high}") });
+            return Err(EvalError::Options { reason: format!("{name} is {value}; it must be {low} to {high}") });
         }
     }
     if let Some(folder) = &options.pictures {

@@ -115,8 +115,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
                 pace: Pace::Free,
             };
             let seen = run::run(session, &plan)?;
-            let packet = seen.packets[0].as_ref().context("the judge saw nothing")?;
-            let table = Table::read(packet.bytes()).context("the judge's table could not be read")?;
+            let packet = seen.packets[0].as_ref().context("the evaluating node received no packets")?;
+            let table = Table::read(packet.bytes()).context("the table of the evaluating node is malformed")?;
             listed(&table, &format!("{chain}/{scene}"), options, &mut figures)?;
         }
     }

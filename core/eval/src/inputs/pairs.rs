@@ -48,8 +48,8 @@ impl Pairs {
                 pace: Pace::Free,
             },
         )?;
-        let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
-        let calibration = packets::calibration(packet.bytes()).context("the phantom's calibration is cut off")?;
+        let packet = seen.packets.into_iter().next().flatten().context("the phantom returned no calibration")?;
+        let calibration = packets::calibration(packet.bytes()).context("the phantom's calibration is truncated")?;
         panoscope_data::calibration::write(&folder.join("calibration.yaml"), &calibration)?;
         Ok(Self { folder })
     }

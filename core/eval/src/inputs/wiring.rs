@@ -126,7 +126,7 @@ impl Wiring {
         }
         if composites.is_empty() {
             bail!(
-                "the graph has no composite with `left`, `right` and `homography`, or `views` and `homographies`: there is nothing to judge"
+                "the graph has no composite with `left`, `right` and `homography`, or `views` and `homographies`: there is nothing to evaluate"
             );
         }
         let mut wiring = Self { source: source.clone(), graph, name, composites };
@@ -192,7 +192,7 @@ impl Wiring {
         for (name, node) in nodes.iter().filter(|(name, _)| **name != id) {
             for (node_id, port) in references(node).iter().filter_map(|r| r.split_once('.')) {
                 if node_id == id && !ports.contains(&port) {
-                    bail!("`{name}` reads `{id}.{port}`, which these pictures do not have");
+                    bail!("`{name}` reads `{id}.{port}`, which this source does not have");
                 }
             }
         }

@@ -55,12 +55,14 @@ impl AxisRequest {
             return Ok(Self { param, values: AxisValues::List(list) });
         };
         let (to, steps) = match rest.split_once('/') {
-            Some((to, steps)) => (to, Some(steps.trim().parse().map_err(|_| bad("steps are a whole number"))?)),
+            Some((to, steps)) => {
+                (to, Some(steps.trim().parse().map_err(|_| bad("the number of steps must be a whole number"))?))
+            }
             None => (rest, None),
         };
         let end = |text: &str| match text.trim() {
             "" => Ok(None),
-            text => text.parse().map(Some).map_err(|_| bad("both ends of a range are numbers")),
+            text => text.parse().map(Some).map_err(|_| bad("both ends of a range must be numbers")),
         };
         Ok(Self { param, values: AxisValues::Range { from: end(from)?, to: end(to)?, steps } })
     }

@@ -29,7 +29,7 @@ pub enum SweepError {
     },
     /// A node with side effects is between the sources and the measure.
     #[error(
-        "`{measure}` needs node `{node}`, which acts on the world (writes files or moves things): measure before it"
+        "`{measure}` needs node `{node}`, which has side effects (writes files or moves devices): choose a measure upstream of it"
     )]
     Acts {
         /// Measure as requested.
@@ -50,17 +50,17 @@ pub struct PointError {
 /// A parameter that has no values to sweep.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum ValuesError {
-    #[error("it has no limits of its own: say from where to where")]
+    #[error("it has no limits: give both ends of the range")]
     Unbounded,
-    #[error("no value that is allowed lies from {from} to {to}: they are {step} apart")]
+    #[error("no allowed value lies between {from} and {to}: the step is {step}")]
     NoneAllowed { from: f64, to: f64, step: f64 },
-    #[error("{kind} cannot be swept: take a number, a switch or a choice")]
+    #[error("{kind} cannot be swept: choose a number, a switch or a choice")]
     Kind { kind: String },
     #[error("both ends must be finite numbers")]
     NotFinite,
-    #[error("{steps} steps: from 2 to {MAX_STEPS} values can be tried")]
+    #[error("{steps} steps: the number of values must be 2 to {MAX_STEPS}")]
     Steps { steps: usize },
-    #[error("both ends are {end}: there is nothing between them")]
+    #[error("both ends are {end}: give two different values")]
     Empty { end: f64 },
     #[error("{value}: {reason}")]
     Refused { value: String, reason: String },
@@ -68,7 +68,7 @@ pub(super) enum ValuesError {
 
 /// An invalid row of a table.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`[{index}]` is no row: write {column}[1] for the first one, {column}[*] for all")]
+#[error("`[{index}]` is not a row: write {column}[1] for the first one, {column}[*] for all")]
 pub(super) struct RowError {
     pub column: String,
     pub index: String,

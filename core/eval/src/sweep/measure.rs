@@ -105,7 +105,9 @@ impl Measure {
             ("table", None) => return Err(bad(format!("it is a table: name a column, {id}.{port}.COLUMN"))),
             _ => {
                 let outputs = part::list(&outputs);
-                return Err(bad(format!("it carries {packet}, no numbers; outputs of `{id}` with numbers: {outputs}")));
+                return Err(bad(format!(
+                    "its packets are {packet}, without numbers; outputs of `{id}` with numbers: {outputs}"
+                )));
             }
         }
         Ok((Self::Port { node: id.to_owned(), port: port.to_owned(), packet, column, rows }, node))
@@ -141,7 +143,7 @@ impl Measure {
                     return Err(NoSummary::Run(format!("there is no row {row}: the table has up to {most}")));
                 }
                 if received.values.is_empty() && received.missing == 0 {
-                    return Err(NoSummary::Run("nothing came out of it".to_owned()));
+                    return Err(NoSummary::Run("it returned no packets".to_owned()));
                 }
                 Ok(Summary::of(&received.values, received.missing))
             }

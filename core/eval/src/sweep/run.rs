@@ -88,14 +88,17 @@ impl Sweep {
             bad_param(format!("`{id}` has no such parameter; it has {}", part::list(&names)))
         })?;
         if request.recording.is_some() && node_type.source {
-            return Err(bad_param(format!("the recording stands in for source `{id}`: sweep another node")));
+            return Err(bad_param(format!("the recording replaces source `{id}`: sweep another node")));
         }
         let values = values::of(&declared.kind, request.from, request.to, request.steps)
             .map_err(|error| bad_param(error.to_string()))?;
         let (measure, at) = Measure::of(&request.measure, &graph, &catalog)?;
         let kept = part::needed(&graph, &[at]);
         if !kept[node] {
-            return Err(bad_param(format!("nothing of `{id}` reaches `{}`: its value changes nothing there", measure)));
+            return Err(bad_param(format!(
+                "`{id}` is not upstream of `{}`, so it has no effect on it: sweep another parameter",
+                measure
+            )));
         }
         part::refuse_acting(&graph, &catalog, &kept, &request.measure)?;
         let text = part::text(&request.text, &graph, &kept).map_err(|error| bad_param(error.to_string()))?;

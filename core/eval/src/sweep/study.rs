@@ -196,11 +196,12 @@ impl StudyRequest {
             let (id, _) = split(&axis.param)?;
             let node = graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&graph, id)))?;
             if !kept[node] {
-                let reason = format!("nothing of `{id}` reaches `{names}`: its value changes nothing there");
+                let reason =
+                    format!("`{id}` is not upstream of `{names}`, so it has no effect on them: vary another parameter");
                 return Err(bad_param(&axis.param, reason));
             }
             if self.recording.is_some() && graph.nodes[node].node_type(&catalog).source {
-                let reason = format!("the recording stands in for source `{id}`: sweep another node");
+                let reason = format!("the recording replaces source `{id}`: sweep another node");
                 return Err(bad_param(&axis.param, reason));
             }
         }

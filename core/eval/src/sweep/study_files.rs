@@ -77,7 +77,7 @@ impl RunFile {
     /// The file cannot be read, or has another format.
     pub fn read(file: &Path) -> Result<Self> {
         let text = fs::read_to_string(file).on_file(FileAction::Read, file)?;
-        serde_json::from_str(&text).with_context(|| format!("{} holds no results of a run", file.display()))
+        serde_json::from_str(&text).with_context(|| format!("{} has no results of a run", file.display()))
     }
 }
 

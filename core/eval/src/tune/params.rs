@@ -54,7 +54,10 @@ impl Named<'_> {
         match self.value(name) {
             Some(ParamValue::Float(value)) => Ok(*value),
             Some(ParamValue::Int(value)) => Ok(*value as f64),
-            _ => bail!("`{}` has no number `{name}`: its plugin is of another version", self.node.id),
+            _ => bail!(
+                "`{}` has no number `{name}`: its plugin has another version; install Panoscope again",
+                self.node.id
+            ),
         }
     }
 
@@ -84,12 +87,14 @@ pub fn of_graph(path: &Path, node: Option<&str>, options: &GraphOptions) -> Resu
     let controller = match (node, &controllers[..]) {
         (Some(id), _) => match controllers.iter().find(|n| n.id == id) {
             Some(found) => *found,
-            None if controllers.is_empty() => return refused(format!("`{id}` is no `arm_pid`, and there is none")),
-            None => return refused(format!("`{id}` is no `arm_pid`; there is {}", names())),
+            None if controllers.is_empty() => {
+                return refused(format!("`{id}` is not an `arm_pid`, and the graph has none"));
+            }
+            None => return refused(format!("`{id}` is not an `arm_pid`; the graph has {}", names())),
         },
         (None, [one]) => one,
-        (None, []) => return refused("there is no node of type `arm_pid` to tune".to_owned()),
-        (None, _) => return refused(format!("there are several `arm_pid`, {}: name one with --node", names())),
+        (None, []) => return refused("the graph has no node of type `arm_pid` to tune".to_owned()),
+        (None, _) => return refused(format!("the graph has several `arm_pid`, {}: choose one with --node", names())),
     };
     let arms = of_type("arm_sim");
     let pid = Named { node: controller, catalog: &ready.catalog };

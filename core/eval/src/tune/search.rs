@@ -104,7 +104,7 @@ pub fn tune(session: &dyn Session, options: &Options) -> Result<Tunings> {
         return Err(EvalError::Options { reason });
     }
     if let Some(share) = options.feed_forward.filter(|share| !(0.0..=1.0).contains(share)) {
-        return Err(EvalError::Options { reason: format!("--feed-forward is {share}: it is a share, 0 to 1") });
+        return Err(EvalError::Options { reason: format!("--feed-forward is {share}; it must be between 0 and 1") });
     }
     let plant = match &options.graph {
         None => params::shipped()?,
@@ -121,9 +121,8 @@ pub fn tune(session: &dyn Session, options: &Options) -> Result<Tunings> {
 
 fn one(session: &dyn Session, options: &Options, plant: &Plant, goals: &Goals, channel: Channel) -> Result<Tuning> {
     let course = &plant.course;
-    let ultimate = course
-        .relay(goals, channel)
-        .with_context(|| format!("the {} of the tip could not be tuned", channel.name()))?;
+    let ultimate =
+        course.relay(goals, channel).with_context(|| format!("cannot tune the {} of the tip", channel.name()))?;
     let mut tries = 0;
     let judge = |tuned: Tuned| search::cost(course, goals, channel, tuned, options.overshoot_pct);
     let report = |tuned: Tuned| search::report(course, goals, channel, tuned);

@@ -70,7 +70,7 @@ impl Drop for Clips {
 fn graph_text(clip: &Path, mp4: &Path) -> Result<String, String> {
     let absolute = |path: &Path| {
         let path = std::path::absolute(path).map_err(|error| error.to_string())?;
-        let text = path.to_str().ok_or_else(|| format!("{} is no UTF-8", path.display()))?;
+        let text = path.to_str().ok_or_else(|| format!("{} is not UTF-8", path.display()))?;
         Ok::<_, String>(toml::Value::from(text).to_string())
     };
     let (clip, mp4) = (absolute(clip)?, absolute(mp4)?);

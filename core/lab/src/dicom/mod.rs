@@ -98,7 +98,7 @@ impl QueryArguments {
             |text: &str| text.len() <= 16 && text.chars().all(|c| c.is_ascii_graphic() && !"\\*?".contains(c));
         for (name, text) in [("--modality", &self.modality), ("--station", &self.station)] {
             if !is_code(text) {
-                return Err(format!("{name} `{text}`: at most 16 letters, digits and signs"));
+                return Err(format!("{name} `{text}`: use at most 16 ASCII letters, digits and punctuation marks"));
             }
         }
         Ok(Query { modality: self.modality.clone(), date, station: self.station.clone() })

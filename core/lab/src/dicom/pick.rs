@@ -67,7 +67,7 @@ pub fn ask(entries: &[Entry]) -> Result<Option<&Entry>> {
         bail!("the worklist has no entries for this query: see --date, --modality and --station");
     }
     if !std::io::stdin().is_terminal() {
-        bail!("name the entry with --entry: there is no terminal to ask on");
+        bail!("there is no terminal to ask on: choose the entry with --entry");
     }
     log!("{}", table(entries));
     let Some(entry) = line("Number of the entry: ")?.parse().ok().and_then(|n: usize| entries.get(n.checked_sub(1)?))

@@ -107,7 +107,7 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
             stitch::cases::judge(session, &options)?
         }
         None if !more.is_empty() => {
-            bail!("several graphs are judged with --fov, --speeds or --cases; give one graph without them")
+            bail!("give one graph, or --fov, --speeds or --cases to evaluate several")
         }
         None => {
             let options = stitch::Options {

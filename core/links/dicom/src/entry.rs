@@ -97,7 +97,7 @@ impl Entry {
     pub fn decode(bytes: &[u8], encoding: Encoding) -> Result<Self> {
         let malformed = |problem: String| DicomError::Malformed { what: "a worklist entry".to_owned(), problem };
         if bytes.len() > MAX_ENTRY_BYTES {
-            return Err(malformed(format!("{} bytes; {MAX_ENTRY_BYTES} are the most", bytes.len())));
+            return Err(malformed(format!("{} bytes exceed the limit of {MAX_ENTRY_BYTES}", bytes.len())));
         }
         lengths::check(bytes, encoding).map_err(|error| malformed(error.to_string()))?;
         let syntax = match encoding {

@@ -47,7 +47,7 @@ pub enum DicomError {
         cause: io::Error,
     },
     /// An object that cannot be kept in the outbox.
-    #[error("{} cannot be written: {cause}; nothing was exported, all originals are as they were", file.display())]
+    #[error("{} cannot be written: {cause}; nothing was exported and all originals are unchanged", file.display())]
     Write {
         /// The file.
         file: PathBuf,

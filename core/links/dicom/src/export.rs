@@ -72,7 +72,7 @@ pub fn inputs(named: &[PathBuf]) -> Result<Vec<Input>> {
             }
         }
         if all.len() == before {
-            return Err(wrong("it holds no stills, clips or measurements"));
+            return Err(wrong("it has no stills, clips or measurements"));
         }
     }
     if all.len() > MAX_FILES {

@@ -28,7 +28,7 @@ pub enum Encoding {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LengthError {
     /// A value is longer than the rest of the bytes.
-    #[error("at byte {at}: {announced} bytes are announced, {left} are there")]
+    #[error("at byte {at}: {announced} bytes are announced, but only {left} follow")]
     Announced { at: usize, announced: usize, left: usize },
     /// The head of an element begins inside an item and ends after it.
     #[error("at byte {at}: an element reaches beyond its item")]
@@ -40,13 +40,13 @@ pub enum LengthError {
     #[error("at byte {at}: an item outside a sequence")]
     LoneItem { at: usize },
     /// Two bytes that are not capital letters.
-    #[error("at byte {at}: {vr:02x?} is no value representation")]
+    #[error("at byte {at}: {vr:02x?} is not a value representation")]
     Representation { at: usize, vr: [u8; 2] },
     /// An item of undefined length without a delimiter.
     #[error("at byte {at}: an item does not end")]
     OpenItem { at: usize },
     /// An item is longer than the rest of its sequence.
-    #[error("at byte {at}: an item of {length} bytes, {left} are there")]
+    #[error("at byte {at}: an item has {length} bytes, but only {left} follow")]
     LongItem { at: usize, length: u32, left: usize },
     /// An element in place of an item.
     #[error("at byte {at}: an item was expected")]

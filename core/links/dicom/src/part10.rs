@@ -48,13 +48,13 @@ pub enum HeadError {
     #[error("it is not a DICOM file: `DICM` is not at byte 128")]
     NotDicom,
     /// The file is truncated.
-    #[error("it ends in its head")]
+    #[error("it ends within its header")]
     Cut,
     /// The head does not begin with its length.
-    #[error("its head does not begin with its length")]
+    #[error("its header does not begin with its length")]
     NoLength,
     /// The head is too long.
-    #[error("its head is said to have {length} bytes; {MAX_HEAD_BYTES} are the most")]
+    #[error("its header of {length} bytes exceeds the limit of {MAX_HEAD_BYTES}")]
     TooLong { length: usize },
     /// A length inside it is wrong.
     #[error(transparent)]
@@ -63,7 +63,7 @@ pub enum HeadError {
     #[error("{reason}")]
     Decode { reason: String },
     /// An identifier is missing or malformed.
-    #[error("its head has no valid {what}")]
+    #[error("its header has no valid {what}")]
     NoUid { what: &'static str },
     /// The file cannot be read.
     #[error(transparent)]
@@ -252,6 +252,6 @@ mod tests {
             assert!(cut.is_err() || end >= head.length, "cut at {end}");
         }
         let error = Head::parse(&[&[0; 128][..], b"DICM", &GROUP_LENGTH, &[0xFF; 4]].concat()).unwrap_err().to_string();
-        assert!(error.contains("are the most"), "{error}");
+        assert!(error.contains("exceeds the limit"), "{error}");
     }
 }

@@ -12,7 +12,7 @@ pub enum ValueError {
     #[error(transparent)]
     Packet(#[from] PacketError),
     /// An image whose rows do not fit its bytes.
-    #[error("a picture of {width}x{height} {format} with {stride_bytes} bytes a row does not fit {len} bytes")]
+    #[error("an image of {width}x{height} {format} with {stride_bytes} bytes per row does not match {len} bytes")]
     Picture {
         /// Columns.
         width: u32,
@@ -60,13 +60,13 @@ pub enum ExportError {
         file: PathBuf,
     },
     /// The output exists already.
-    #[error("{} exists: name another one, or replace it with --force", .path.display())]
+    #[error("{} already exists: choose another one, or replace it with --force", .path.display())]
     Exists {
         /// The file or folder.
         path: PathBuf,
     },
     /// The output is the recording itself.
-    #[error("{} is the recording itself: name another file", .path.display())]
+    #[error("{} is the recording itself: choose another file", .path.display())]
     IsRecording {
         /// The file.
         path: PathBuf,

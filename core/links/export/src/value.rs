@@ -284,7 +284,7 @@ mod tests {
             (head(abi::FORMAT_F32, u32::MAX, u32::MAX, u32::MAX), 8),
         ] {
             let error = Value::read(Kind::Picture, &head, &vec![0; len]).unwrap_err().to_string();
-            assert!(error.contains("does not fit"), "{error}");
+            assert!(error.contains("does not match"), "{error}");
         }
     }
 

@@ -28,7 +28,7 @@ pub enum IgtlError {
         limit: u64,
     },
     /// The body does not match its CRC64.
-    #[error("a {kind} message was damaged on its way: its CRC64 is {found:016x}, the header says {announced:016x}")]
+    #[error("a {kind} message was damaged in transit: its CRC64 is {found:016x}, the header says {announced:016x}")]
     Crc {
         /// Message type.
         kind: String,
@@ -48,7 +48,7 @@ pub enum IgtlError {
         bytes: usize,
     },
     /// The content has a length that its type does not have.
-    #[error("a {kind} message has {bytes} bytes, {expected} are right")]
+    #[error("a {kind} message has {bytes} bytes, expected {expected}")]
     Length {
         /// Message type.
         kind: &'static str,
@@ -70,7 +70,7 @@ pub enum IgtlError {
         expected: &'static str,
     },
     /// A text is longer than its field.
-    #[error("`{text}` has {bytes} bytes, {field} holds {limit}: write a shorter one")]
+    #[error("`{text}` has {bytes} bytes, but the limit of {field} is {limit}: shorten it")]
     LongText {
         /// The field.
         field: &'static str,
@@ -82,7 +82,7 @@ pub enum IgtlError {
         limit: usize,
     },
     /// There are more entries than the count field can hold.
-    #[error("{count} {what} are too many for one message ({limit} are the most)")]
+    #[error("{count} {what} exceed the limit of {limit} for one message")]
     TooMany {
         /// Kind of the entries.
         what: &'static str,

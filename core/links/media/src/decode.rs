@@ -125,17 +125,17 @@ impl Decoder {
             collected.pictures.clear();
             (collected.info.clone(), picture)
         };
-        let (Some(info), Some(picture)) = (info, picture) else { return Err(self.error("a packet gave no picture")) };
+        let (Some(info), Some(picture)) = (info, picture) else { return Err(self.error("a packet has no image")) };
         let even_px = (size_px.0.next_multiple_of(2), size_px.1.next_multiple_of(2));
         let video_px = (info.width() as usize, info.height() as usize);
         if info.format() != VideoFormat::I420 || video_px != even_px {
             let (width, height) = video_px;
-            return Err(failure(&format!("a picture of {}x{} px came as {width}x{height}", size_px.0, size_px.1)));
+            return Err(failure(&format!("expected an image of {}x{} px, got {width}x{height}", size_px.0, size_px.1)));
         }
-        let damaged = |_| failure("a picture does not fit its description");
+        let damaged = |_| failure("an image does not match its description");
         let frame = VideoFrameRef::from_buffer_ref_readable(&picture, &info).map_err(damaged)?;
         let plane = |index: u32| {
-            let data = frame.plane_data(index).map_err(|_| failure("a picture lacks a plane"))?;
+            let data = frame.plane_data(index).map_err(|_| failure("an image lacks a plane"))?;
             Ok::<_, MediaError>(Plane { data, stride: frame.plane_stride()[index as usize].unsigned_abs() as usize })
         };
         i420_to_bgr([plane(0)?, plane(1)?, plane(2)?], size_px, stride, bgr);

@@ -290,7 +290,8 @@ impl Encoder {
         let wired =
             |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
         let info = codec.info(size_px, rate_hz);
-        let info = info.ok_or_else(|| wired(&format!("{}x{} px is no size of a video", size_px.0, size_px.1)))?;
+        let info =
+            info.ok_or_else(|| wired(&format!("{}x{} px is not a valid size of a video", size_px.0, size_px.1)))?;
         let mut chain = vec![encoder.clone()];
         if let Some(parser) = parser {
             chain.push(make(parser)?);
@@ -425,7 +426,7 @@ impl Encoder {
     fn fill(&mut self, bgr: &[u8], size_px: (usize, usize)) -> Result<Buffer, MediaError> {
         let (columns, rows) = size_px;
         if columns == 0 || rows == 0 || bgr.len() != columns * rows * 3 {
-            return Err(self.failure(format!("a picture of {columns}x{rows} px has {} bytes", bgr.len())));
+            return Err(self.failure(format!("an image of {columns}x{rows} px has {} bytes", bgr.len())));
         }
         let video_px = self.settings.size_px;
         // But for a repeated last column or row.
@@ -446,7 +447,7 @@ impl Encoder {
             Some(last) => last,
             None => Buffer::with_size(info.size()).map_err(|error| self.failure(error.to_string()))?,
         };
-        let Some(writable) = buffer.get_mut() else { return Err(self.failure("its picture is in use".to_owned())) };
+        let Some(writable) = buffer.get_mut() else { return Err(self.failure("its image is in use".to_owned())) };
         let rate_hz = self.settings.rate_hz;
         let (frames, seconds) = (rate_hz.numer().max(1) as u64, rate_hz.denom().max(1) as u64);
         writable.set_pts(ClockTime::SECOND.mul_div_round(self.pictures * seconds, frames));

@@ -62,7 +62,7 @@ pub enum MediaError {
         reason: String,
     },
     /// No frame arrived in time.
-    #[error("no picture came within {} s", limit.as_secs_f64())]
+    #[error("no image arrived within {} s", limit.as_secs_f64())]
     Silent {
         /// The limit.
         limit: Duration,

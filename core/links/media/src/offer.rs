@@ -34,7 +34,7 @@ pub enum OfferError {
     #[error("the offer has no video that receives: add a transceiver of `video` with the direction `recvonly`")]
     NoVideo,
     /// The viewer cannot decode the sent format.
-    #[error("the viewer does not offer H.264 with packetization-mode 1, which is what this stream is compressed with")]
+    #[error("the viewer does not offer H.264 with packetization-mode 1, which this stream needs")]
     NoCodec,
     /// A value that a connection needs is missing or malformed.
     #[error("the offer has no usable `a={name}` for its video")]

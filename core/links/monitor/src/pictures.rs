@@ -64,10 +64,10 @@ pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The output made no packet yet.
-    #[error("there is no picture yet")]
+    #[error("there is no image yet")]
     None,
     /// Its description needs more bytes than the packet has.
-    #[error("a picture of {width} x {height} {format} does not fit its bytes")]
+    #[error("an image of {width} x {height} {format} does not match its bytes")]
     Bytes {
         /// Columns.
         width: u32,
@@ -77,7 +77,7 @@ pub enum PictureError {
         format: &'static str,
     },
     /// Packets of its format cannot be drawn.
-    #[error("{format} has no picture")]
+    #[error("{format} cannot be shown as an image")]
     Format {
         /// Name of the format.
         format: &'static str,
@@ -158,7 +158,7 @@ mod tests {
                 jpeg(&frame(name, 64, 48, &[0; 100]), "image", &mut None)
                     .unwrap_err()
                     .to_string()
-                    .contains("does not fit")
+                    .contains("does not match")
             );
         }
     }

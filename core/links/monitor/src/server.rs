@@ -117,7 +117,7 @@ async fn guarded(request: Request<Incoming>, shared: Arc<Shared>) -> Answer {
     }
     let mut answer = match tokio::time::timeout(MAX_REQUEST, answer(request.uri.path(), shared)).await {
         Ok(answer) => answer,
-        Err(_) => refuse(StatusCode::REQUEST_TIMEOUT, "the answer took too long"),
+        Err(_) => refuse(StatusCode::REQUEST_TIMEOUT, "the response took too long"),
     };
     let headers = answer.headers_mut();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -180,7 +180,7 @@ async fn picture(shared: Arc<Shared>, name: String) -> Answer {
             answer
         }
         Ok(Some(Err(error))) => refuse(StatusCode::SERVICE_UNAVAILABLE, &error.to_string()),
-        Ok(None) => refuse(StatusCode::NOT_FOUND, "no picture has this name; `/state` lists them"),
+        Ok(None) => refuse(StatusCode::NOT_FOUND, "no image has this name; `/state` lists them"),
         Err(error) => refuse(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }

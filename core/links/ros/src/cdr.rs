@@ -11,7 +11,7 @@ const LITTLE: [u8; 4] = [0, 1, 0, 0];
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     /// Shorter than the head.
-    #[error("a message of {len} bytes has no head")]
+    #[error("a message of {len} bytes is too short for a header")]
     Short {
         /// Its length.
         len: usize,
@@ -23,7 +23,7 @@ pub enum CdrError {
         number: u16,
     },
     /// Fields that do not fit.
-    #[error("a message is no {message}: {words}")]
+    #[error("a message is not a {message}: {words}")]
     Fields {
         /// Name of the type.
         message: &'static str,

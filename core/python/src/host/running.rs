@@ -98,7 +98,7 @@ impl Run {
     fn live(&self) -> Result<(&LiveGraph, &GraphText), Problem> {
         match self {
             Self::Graph { live, parts, .. } => Ok((live, parts)),
-            Self::Replay { .. } => Err(Problem::Edit("a replay takes its changes from the recording".to_owned())),
+            Self::Replay { .. } => Err(Problem::Edit("a replay applies only the changes of the recording".to_owned())),
         }
     }
 

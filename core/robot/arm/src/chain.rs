@@ -213,7 +213,7 @@ fn finite(joint: &urdf_rs::Joint, what: &'static str, value: f64) -> Result<f64,
     if value.is_finite() {
         return Ok(value);
     }
-    Err(ArmError::BadNumber { joint: joint.name.clone(), what, value, rule: "it has to be a number" })
+    Err(ArmError::BadNumber { joint: joint.name.clone(), what, value, rule: "it must be a number" })
 }
 
 fn origin(joint: &urdf_rs::Joint) -> Result<Isometry3<f64>, ArmError> {
@@ -235,7 +235,7 @@ fn turning(joint: &urdf_rs::Joint, parent_from_joint: Isometry3<f64>) -> Result<
     if lower_rad >= 0.0 || upper_rad <= 0.0 {
         let (what, value) =
             if lower_rad >= 0.0 { ("the lower limit", lower_rad) } else { ("the upper limit", upper_rad) };
-        return Err(bad(what, value, "home, all joints at 0, lies inside the limits"));
+        return Err(bad(what, value, "home, with all joints at 0, must be inside the limits"));
     }
     if speed_rad_s <= 0.0 {
         return Err(bad("the speed limit", speed_rad_s, "it is above 0"));

@@ -20,13 +20,13 @@ pub enum ArmError {
         what: &'static str,
     },
     /// Links that form a cycle.
-    #[error("the links of the arm's description go round in a circle at `{link}`")]
+    #[error("the links of the arm's description have a cycle at `{link}`")]
     Circle {
         /// One of them.
         link: String,
     },
     /// Another number of axes.
-    #[error("{count} joints move between the base and `left_camera`, this software drives 6")]
+    #[error("{count} joints move between the base and `left_camera`, but this software supports exactly 6")]
     WrongAxes {
         /// Axes found.
         count: usize,
@@ -40,7 +40,7 @@ pub enum ArmError {
         kind: String,
     },
     /// A link at the wrong position in the chain.
-    #[error("link `{link}` does not hang where it has to: {rule}")]
+    #[error("link `{link}` has the wrong parent: {rule}")]
     Misplaced {
         /// Name of the link.
         link: &'static str,

@@ -74,7 +74,7 @@ impl Check {
             None => folder.to_string(),
             Some(problem) => {
                 format!(
-                    "{folder}: {problem}; set {} to a folder on a disk that this user may write",
+                    "{folder}: {problem}; set {} to a folder on a disk that this user can write",
                     latch::FOLDER_VARIABLE
                 )
             }

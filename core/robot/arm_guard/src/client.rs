@@ -37,7 +37,7 @@ const END_WITHIN: Duration = Duration::from_secs(3);
 pub enum GuardError {
     /// The guard's program is not installed.
     #[error(
-        "`{PROGRAM}` is not beside the program ({looked}); install Panoscope completely, or set {PROGRAM_VARIABLE} to its path"
+        "`{PROGRAM}` is not next to the program ({looked}); install Panoscope completely, or set {PROGRAM_VARIABLE} to its path"
     )]
     NoProgram {
         /// Locations that were searched.
@@ -58,7 +58,7 @@ pub enum GuardError {
     #[error("the arm's guard did not report within {} s", START_WITHIN.as_secs())]
     Silent,
     /// Standard input is not a socket.
-    #[error("standard input is no socket: {0}")]
+    #[error("standard input is not a socket: {0}")]
     NoSocket(io::Error),
 }
 

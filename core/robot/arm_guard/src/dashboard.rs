@@ -39,7 +39,7 @@ pub(crate) fn serial_number(host: &str, port: u16) -> Result<Serial, PortError> 
     let answer = line.trim();
     // Of whatever answers here, a message quotes a little.
     let quoted: String = answer.chars().take(60).flat_map(char::escape_debug).collect();
-    Serial::new(&format!("UR-{answer}"))
-        .filter(|_| answer.starts_with(|c: char| c.is_ascii_digit()))
-        .ok_or_else(|| unsuitable(format!("the dashboard server gives no serial number but `{quoted}`"), UPDATE))
+    Serial::new(&format!("UR-{answer}")).filter(|_| answer.starts_with(|c: char| c.is_ascii_digit())).ok_or_else(|| {
+        unsuitable(format!("the dashboard server returned `{quoted}` instead of a serial number"), UPDATE)
+    })
 }

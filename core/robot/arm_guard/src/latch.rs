@@ -30,10 +30,10 @@ const MACHINE_FOLDER: &str = "/var/lib/panoscope/arms";
 #[derive(Debug, Error)]
 pub enum LatchError {
     /// No folder for latches is known.
-    #[error("there is no folder to keep the arm's latched stops in: set {FOLDER_VARIABLE} to one")]
+    #[error("there is no folder for the arm's latched stops: set {FOLDER_VARIABLE} to one")]
     NoFolder,
     /// The folder cannot be used.
-    #[error("{path}: latched stops cannot be kept here: {cause}; set {FOLDER_VARIABLE} to a folder that this user may write", path = path.display())]
+    #[error("{path}: latched stops cannot be stored here: {cause}; set {FOLDER_VARIABLE} to a folder that this user can write", path = path.display())]
     Folder {
         /// The folder or file.
         path: PathBuf,

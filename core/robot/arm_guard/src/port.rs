@@ -46,7 +46,7 @@ pub enum PortError {
         ours: u32,
     },
     /// The device does not answer in the arm's protocol.
-    #[error("{path}: no arm answered within {wait_ms} ms ({garbage} lines made no sense)", path = path.display())]
+    #[error("{path}: no arm answered within {wait_ms} ms ({garbage} lines were malformed)", path = path.display())]
     NoArm {
         /// The device's file.
         path: PathBuf,
@@ -87,7 +87,7 @@ pub enum PortError {
         advice: &'static str,
     },
     /// Received data is not a package of the protocol.
-    #[error("what {place} sends cannot be read; is this the robot's RTDE port?")]
+    #[error("the data from {place} is malformed; is this the robot's RTDE port?")]
     Unreadable {
         /// Host and port.
         place: String,

@@ -240,7 +240,7 @@ impl UrLink {
         self.check_types(&INPUTS, &types)?;
         self.recipes.1 = recipe;
         if self.recipes.0 == 0 || self.recipes.1 == 0 {
-            return Err(self.unsuitable("the controller accepts no list of fields".to_owned(), UPDATE));
+            return Err(self.unsuitable("the controller refused the list of fields".to_owned(), UPDATE));
         }
         let has_started = self.ask(Kind::Start, &[], |it| match it {
             Package::Started(has_started) => Some(has_started),

@@ -436,7 +436,7 @@ fn a_controller_that_is_not_suitable_is_refused_with_the_reason() {
         (|b| b.refuses_start = true, "does not start RTDE"),
         (|b| b.has_no_serial = true, "gives no serial number but `could not understand"),
         (|b| b.is_silent = true, "sends no data"),
-        (|b| b.is_garbage = true, "cannot be read"),
+        (|b| b.is_garbage = true, "is malformed"),
         (
             |b| b.is_program_stopped = true,
             "the arm's program does not run on the robot; make the robot ready at its pendant",

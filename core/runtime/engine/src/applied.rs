@@ -81,11 +81,11 @@ pub enum ApplyError {
     #[error("the mode cannot change while the graph runs")]
     Mode,
     /// The graph has ended.
-    #[error("the graph does not run any more")]
+    #[error("the graph has ended")]
     Ended,
     /// The tick to switch at has already entered the graph.
     #[error(
-        "tick {seq} of `{source_node}` has passed, nothing was changed: tick {next} is the first that can be kept out"
+        "tick {seq} of `{source_node}` has passed, nothing was changed: the first tick that can still be kept out is {next}"
     )]
     Passed {
         /// The source.
@@ -96,14 +96,14 @@ pub enum ApplyError {
         next: u64,
     },
     /// A tick was given for a node that is not a source.
-    #[error("`{node}` is no source of the running graph, nothing was changed: ticks are named by their source")]
+    #[error("`{node}` is not a source of the running graph, nothing was changed: name the source of the tick")]
     NoSource {
         /// As given by the caller.
         node: String,
     },
     /// Ticks in flight did not finish before the frames that wait filled the frame memory.
     #[error(
-        "node `{node}` did not come to rest before the frames that wait took {waiting_mb} MB, most of what the frame memory has left; nothing was changed"
+        "node `{node}` did not come to rest before the frames that wait took {waiting_mb} MB, most of the free frame memory; nothing was changed"
     )]
     Memory {
         /// A node that is still busy.

@@ -61,7 +61,7 @@ pub enum Turn {
 pub enum FramesError {
     /// The source has lost an output since.
     #[error(
-        "tick {seq} of the recording has a packet of `{node}.{port}`, and the source has no such output here: it cannot be replayed; record again"
+        "tick {seq} of the recording has a packet of `{node}.{port}`, but the source here has no such output: record again"
     )]
     NoOutput {
         /// Number of the tick.

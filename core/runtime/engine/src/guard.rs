@@ -43,7 +43,7 @@ pub(crate) struct Call<T> {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CallError {
     /// It took too long.
-    #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .kind.return_words())]
+    #[error("it did not return{} within {seconds:.1} s and was abandoned with its thread", .kind.return_words())]
     NoReturn {
         /// The called function.
         kind: CallKind,
@@ -201,7 +201,7 @@ impl Shared {
                     drop(state);
                     // Workers that are stuck in its loops are replaced too.
                     if let Err(cause) = self.pool.give_up(number) {
-                        self.fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
+                        self.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
                     }
                     state = line.state();
                     continue;

@@ -22,7 +22,7 @@ pub const STATUS_DIED: abi::Status = abi::Status::MIN;
 #[derive(Debug, thiserror::Error)]
 pub enum GroupError {
     /// The program that runs the graph has no [`Isolator`].
-    #[error("this program runs no processes for nodes")]
+    #[error("this program cannot start processes for nodes")]
     NoIsolator,
     /// No memory that it could share with its process.
     #[error(transparent)]

@@ -92,7 +92,7 @@ impl OutputRule {
             return (Cause::TooMuch, words);
         }
         let words =
-            format!("output `{name}`: {width}x{height} with {stride_bytes} bytes a row does not fit {len} bytes");
+            format!("output `{name}`: {width}x{height} with {stride_bytes} bytes per row does not match {len} bytes");
         (Cause::BadOutput, words)
     }
 
@@ -132,7 +132,7 @@ impl OutputRule {
             }
         }
         match numbers.iter().position(|n| !n.is_finite()) {
-            Some(at) => Err((Cause::NotANumber, format!("output `{name}` holds {} at place {at}", numbers[at]))),
+            Some(at) => Err((Cause::NotANumber, format!("output `{name}` has {} at index {at}", numbers[at]))),
             None => Ok(()),
         }
     }

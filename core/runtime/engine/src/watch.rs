@@ -68,7 +68,7 @@ impl Shared {
                 if !self.context.ignores_wall_clock()
                     && let Err(cause) = self.pool.relieve(now_ns)
                 {
-                    self.fail(format!("no thread could be started beside those that hang: {cause}"));
+                    self.fail(format!("no thread could be started to replace those that hang: {cause}"));
                 }
                 let before = std::mem::replace(&mut refused, retained::refused_outside());
                 if refused != before {
@@ -215,7 +215,7 @@ impl Shared {
             replaced = replaced.and(me.start_thread(own.node, &own.runtime));
         }
         if let Err(cause) = replaced {
-            self.fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
+            self.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
         }
         if again {
             self.dispatch(plan, head);

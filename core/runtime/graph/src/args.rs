@@ -517,7 +517,7 @@ fn check(kind: ArgKind, arg: &ArgText, value: &Kind) -> Result<Kind, Wrong> {
     let name = &arg.name.value;
     let wrong_type = || Wrong {
         code: "arg-type",
-        message: format!("argument `{name}` must be {}, this is {}", kind.expected(), value.found()),
+        message: format!("argument `{name}` must be {}, not {}", kind.expected(), value.found()),
         label: format!("expected {}", kind.expected()),
         help: arg.doc.clone().unwrap_or_default(),
     };
@@ -545,7 +545,7 @@ fn check(kind: ArgKind, arg: &ArgText, value: &Kind) -> Result<Kind, Wrong> {
                     let unit = if arg.unit.is_empty() { String::new() } else { format!(" {}", arg.unit) };
                     Err(Wrong {
                         code: "arg-range",
-                        message: format!("argument `{name}` is {number}{unit}, allowed are {low} to {high}{unit}"),
+                        message: format!("argument `{name}` is {number}{unit}; it must be {low} to {high}{unit}"),
                         label: format!("expected {low} to {high}{unit}"),
                         help: arg.doc.clone().unwrap_or_default(),
                     })

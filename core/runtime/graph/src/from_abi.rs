@@ -25,16 +25,16 @@ use crate::param::{Param, ParamKind, ParamValue, Pick};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum FromAbiError {
     /// The entry function returned a null pointer.
-    #[error("`panoscope_plugin` answered a null pointer")]
+    #[error("`panoscope_plugin` returned a null pointer")]
     NoDescriptor,
     /// The descriptor does not begin with the magic number.
-    #[error("the descriptor opens with {found:#018x} instead of PANOSCOPE_MAGIC: this is no Panoscope plugin")]
+    #[error("the descriptor opens with {found:#018x} instead of PANOSCOPE_MAGIC: this is not a Panoscope plugin")]
     Magic {
         /// Value found instead.
         found: u64,
     },
     /// Another major version of the contract.
-    #[error("the plugin was built for ABI {found}, this host has ABI {supported}: build the plugin anew")]
+    #[error("the plugin was built for ABI {found}, this host has ABI {supported}: rebuild the plugin")]
     AbiMajor {
         /// The plugin's.
         found: u32,
@@ -42,7 +42,7 @@ pub enum FromAbiError {
         supported: u32,
     },
     /// `struct_size` is too small, so fields are missing.
-    #[error("{place}: struct_size is {found}, it must be at least {needed} (sizeof the struct)")]
+    #[error("{place}: struct_size is {found}; it must be at least {needed} (sizeof the struct)")]
     StructSize {
         /// Location of the error.
         place: String,
@@ -84,7 +84,7 @@ pub enum FromAbiError {
         field: &'static str,
     },
     /// A name that is not valid in graph files.
-    #[error("{place}: `{name}` is no name: names are letters, digits and `_`, and begin with a letter")]
+    #[error("{place}: `{name}` is not a valid name: names are letters, digits and `_`, and begin with a letter")]
     Name {
         /// Location of the error.
         place: String,
@@ -399,7 +399,7 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
                 return contradiction("the default holds a number that is not finite".to_owned());
             }
             if (default.len() as f64) < min || default.len() as f64 > max {
-                return contradiction(format!("the default has {} numbers, allowed are {min} to {max}", default.len()));
+                return contradiction(format!("the default has {} numbers; allowed: {min} to {max}", default.len()));
             }
             let max_len = max.is_finite().then_some(max as usize);
             ParamKind::Floats { default, min_len: min.max(0.0) as usize, max_len }

@@ -193,7 +193,7 @@ pub enum ParamValue {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ValueError {
     /// The value has another type.
-    #[error("{expected} is expected")]
+    #[error("expected {expected}")]
     Type {
         /// Description of the parameter's type.
         expected: &'static str,
@@ -230,7 +230,7 @@ pub enum ValueError {
         base: i64,
     },
     /// The word is not in the list.
-    #[error("`{word}` is none of: {choices}")]
+    #[error("`{word}` is not one of: {choices}")]
     UnknownChoice {
         /// The word.
         word: String,

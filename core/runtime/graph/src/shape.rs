@@ -65,7 +65,7 @@ impl<'s> Reader<'s> {
     }
 
     fn wrong_type(&mut self, what: &str, expected: &str, found: &Value) -> &mut Diagnostic {
-        let message = format!("{what} must be {expected}, this is {}", found.value.found());
+        let message = format!("{what} must be {expected}, not {}", found.value.found());
         if found.value == Kind::Missing {
             let d = Diagnostic::new(Severity::Error, "wrong-type", self.sources.of(&found.span), &found.span, message);
             return self.unheard.insert(d);
@@ -139,7 +139,7 @@ impl<'s> Reader<'s> {
             return None;
         }
         if number > most {
-            self.error("out-of-range", &value.span, format!("`{what}` is {number:?}, allowed are at most {most}"))
+            self.error("out-of-range", &value.span, format!("`{what}` is {number:?}; allowed: at most {most}"))
                 .label(format!("expected at most {most}"));
             return None;
         }
@@ -154,7 +154,7 @@ impl<'s> Reader<'s> {
         };
         if !range.contains(&number) {
             let (low, high) = (range.start(), range.end());
-            let message = format!("`{what}` is {number}, allowed are {low} to {high}");
+            let message = format!("`{what}` is {number}; allowed: {low} to {high}");
             self.error("out-of-range", &value.span, message).label(format!("expected {low} to {high}"));
             return None;
         }
@@ -452,7 +452,7 @@ impl<'s> Reader<'s> {
         match value.value {
             Kind::Int(n @ 0..=1) => return n as u8,
             Kind::Int(n) => {
-                let message = format!("`delay` is {n}, allowed are 0 and 1");
+                let message = format!("`delay` is {n}; allowed: 0 and 1");
                 self.error("out-of-range", &value.span, message).label("expected 0 or 1").help(
                     "1 gives the value of the consumer's previous tick; longer delays need a node that stores values",
                 );

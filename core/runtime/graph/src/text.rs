@@ -447,7 +447,7 @@ fn read_text(path: &Path, what: &str) -> Result<String, Diagnostics> {
                 None if is_graph => "give the path of a graph file (.toml)".to_owned(),
                 None => "give the path of an overlay (.toml) after --with".to_owned(),
             };
-            return fail(missing, format!("there is no such {file}"), help);
+            return fail(missing, format!("the {file} does not exist"), help);
         }
         Err(e) if e.kind() == std::io::ErrorKind::IsADirectory => {
             let message = format!("this is a folder, not a {file}").replace("a overlay", "an overlay");

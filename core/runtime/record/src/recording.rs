@@ -67,7 +67,7 @@ pub enum RecordingError {
         bytes: u64,
     },
     /// Written by another version.
-    #[error("{} is a recording of format {found}, this program reads formats {OLDEST_FORMAT} to {FORMAT}: use panoscope {version}", .file.display())]
+    #[error("{} has recording format {found}, but this program reads formats {OLDEST_FORMAT} to {FORMAT}: use panoscope {version}", .file.display())]
     OtherFormat {
         /// The file.
         file: PathBuf,
@@ -77,7 +77,7 @@ pub enum RecordingError {
         version: String,
     },
     /// A packet is damaged.
-    #[error("{} is damaged at byte {at}: packet {seq} of `{port}` is not what was recorded", .file.display())]
+    #[error("{} is damaged at byte {at}: packet {seq} of `{port}` was altered", .file.display())]
     Damaged {
         /// The file.
         file: PathBuf,
@@ -89,7 +89,7 @@ pub enum RecordingError {
         seq: u64,
     },
     /// Frame memory is exhausted.
-    #[error("packet {seq} of `{port}` does not fit into frame memory: {reason}")]
+    #[error("packet {seq} of `{port}` cannot be put into frame memory: {reason}")]
     Memory {
         /// The port.
         port: String,
@@ -440,7 +440,7 @@ impl Scan {
             op::CHANNEL if len < 1 << 16 => {
                 let body = self.body(len)?;
                 let Some(channel) = mcap_texts::channel(&body) else {
-                    return Err(damaged("a channel that cannot be read"));
+                    return Err(damaged("a channel cannot be read"));
                 };
                 let events = channel.topic == EVENTS;
                 let schema = SCHEMAS[usize::from(!events)].id;
@@ -461,14 +461,14 @@ impl Scan {
             op::HEADER if self.at == mcap::MAGIC.len() as u64 && len < 1 << 16 => {
                 let body = self.body(len)?;
                 let Some((profile, library)) = mcap_texts::header(&body) else {
-                    return Err(damaged("a header that cannot be read"));
+                    return Err(damaged("its header cannot be read"));
                 };
                 self.library = format!("{profile} {library}");
             }
             op::SCHEMA if self.is_ours() && len < 1 << 16 => {
                 let body = self.body(len)?;
                 if !SCHEMAS.iter().any(|schema| schema.body() == body) {
-                    return Err(damaged("a schema that is not what was recorded"));
+                    return Err(damaged("a schema was altered"));
                 }
             }
             op::MESSAGE_INDEX if self.is_ours() => self.skip(len)?,
@@ -487,7 +487,7 @@ impl Scan {
         let channel = u16::from_le_bytes([message[0], message[1]]);
         let rest = len - MESSAGE_HEAD_BYTES as u64;
         let Some((topic, packets)) = self.channels.get(&channel).cloned() else {
-            return if self.head.is_some() { Err(damaged("a message without a channel")) } else { self.skip(rest) };
+            return if self.head.is_some() { Err(damaged("a message has no channel")) } else { self.skip(rest) };
         };
         if !packets {
             if rest > MAX_EVENT {
@@ -497,12 +497,12 @@ impl Scan {
             let seal = check::unseal(&topic, &message, &mut body);
             let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
             if seal == Seal::Broken || (seal == Seal::None && checked) {
-                return Err(damaged("an event is not what was recorded"));
+                return Err(damaged("an event was altered"));
             }
-            let event = serde_json::from_slice(&body).map_err(|_| damaged("an event that cannot be read"));
+            let event = serde_json::from_slice(&body).map_err(|_| damaged("an event cannot be read"));
             return match event {
                 Ok(Event::Head(head)) if seal == Seal::None && head.format >= CHECKED_FORMAT => {
-                    Err(damaged("its head is not what was recorded"))
+                    Err(damaged("its head was altered"))
                 }
                 Ok(event) => self.event(event),
                 Err(stop) if self.head.is_some() => Err(stop),
@@ -512,20 +512,20 @@ impl Scan {
         let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
         let head_bytes = if checked { PACKET_HEAD_BYTES } else { PLAIN_HEAD_BYTES };
         if rest < head_bytes as u64 {
-            return Err(damaged("a packet without a head"));
+            return Err(damaged("a packet has no head"));
         }
         let mut packet_head = [0; PACKET_HEAD_BYTES];
         self.reader.read_exact(&mut packet_head[..head_bytes])?;
         let (plain, more) = packet_head.split_at(PLAIN_HEAD_BYTES);
-        let plain = plain.try_into().map_err(|_| damaged("a packet without a head"))?;
+        let plain = plain.try_into().map_err(|_| damaged("a packet has no head"))?;
         let Some(mut head) = PacketHead::read(plain) else {
-            return Err(damaged("a packet is stored in an unknown way"));
+            return Err(damaged("the storage of a packet is unknown"));
         };
         if checked {
             let eight = |at: usize| more[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
             head.padded = eight(0);
             if check::sum(&topic, &message, &packet_head[..SUMMED_HEAD_BYTES]) != eight(8) {
-                return Err(damaged("the description of a packet is not what was recorded"));
+                return Err(damaged("the description of a packet was altered"));
             }
         }
         let stored = rest - head_bytes as u64;
@@ -542,7 +542,7 @@ impl Scan {
             let mut place = [0; REFERENCE_BYTES as usize];
             self.reader.read_exact(&mut place)?;
             let Some(&(coding, stored, len)) = self.places.get(&u64::from_le_bytes(place)) else {
-                return Err(damaged("a packet refers to one that is not there"));
+                return Err(damaged("a packet refers to a missing one"));
             };
             if len != head.len {
                 return Err(damaged("a packet refers to one of another length"));
@@ -553,7 +553,7 @@ impl Scan {
             self.places.insert(at, (head.coding, stored, head.len));
             Packet { head, at, stored, coding: head.coding }
         };
-        let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port without a node")) };
+        let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port has no node")) };
         self.pending.entry(node.to_owned()).or_default().push((port.to_owned(), packet));
         self.ports.entry(topic).or_default().push(packet);
         Ok(())
@@ -606,7 +606,7 @@ impl Scan {
                     return Err(Stop::OtherFormat(head.format, head.version));
                 }
                 if head.format >= CHECKED_FORMAT && self.library != format!("panoscope panoscope {}", head.version) {
-                    return Err(Stop::Damaged("its header is not what was recorded".to_owned()));
+                    return Err(Stop::Damaged("its header was altered".to_owned()));
                 }
                 self.head = Some(*head);
             }

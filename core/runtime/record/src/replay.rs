@@ -36,7 +36,7 @@ pub struct ReplayOptions {
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
     /// The graph has mistakes with the plugins and files of this machine.
-    #[error("the graph does not fit this machine's plugins and files:\n{}", .0.render(false))]
+    #[error("the graph does not match this machine's plugins and files:\n{}", .0.render(false))]
     Check(Diagnostics),
     /// The engine did not start.
     #[error(transparent)]
@@ -65,7 +65,7 @@ pub enum ReplayError {
         recorded: String,
     },
     /// A recorded change does not fit the plugins of this machine.
-    #[error("change {number} of the recording does not fit: {cause}; replay with the plugins of the recording")]
+    #[error("change {number} of the recording does not match: {cause}; replay with the plugins of the recording")]
     Stale {
         /// Number of the change, from 1.
         number: usize,

@@ -42,13 +42,13 @@ pub enum RemoteError {
         name: String,
     },
     /// A server without hosts.
-    #[error("no host may run nodes here; name them with --allow, as in --allow theatre")]
+    #[error("no host may run nodes here; give their names with --allow, as in --allow theatre")]
     NoHosts,
     /// A graph that no window may attach to.
-    #[error("no machine may attach; name those that may with --allow-read or --allow-edit")]
+    #[error("no machine may attach; give the names of machines with --allow-read or --allow-edit")]
     NoWindows,
     /// TLS without keys.
-    #[error("no folder of keys is known: set PANOSCOPE_KEYS")]
+    #[error("there is no folder of keys: set PANOSCOPE_KEYS")]
     NoKeys,
     /// Keys that cannot be read; `remedy` says how to make some.
     #[error("{cause}; {remedy}")]
@@ -62,7 +62,7 @@ pub enum RemoteError {
     #[error(transparent)]
     Keys(#[from] KeysError),
     /// Nothing listens at the address.
-    #[error("nothing answers at {address} within {} s: {cause}; is `{command}` running there?", timeout.as_secs_f64())]
+    #[error("nothing responds at {address} within {} s: {cause}; is `{command}` running there?", timeout.as_secs_f64())]
     NoAnswer {
         /// Address on which the machine should listen.
         address: String,
@@ -88,7 +88,7 @@ pub enum RemoteError {
     },
     /// The machine listens but does not answer the greeting.
     #[error(
-        "it does not answer within {} s: `panoscope serve` there has another --name than `{machine}`, or does not --allow this host",
+        "it did not respond within {} s: `panoscope serve` there has another --name than `{machine}`, or does not --allow this host",
         timeout.as_secs_f64()
     )]
     NoGreeting {
@@ -116,7 +116,7 @@ pub enum RemoteError {
         machine: String,
     },
     /// A host that is silent for too long.
-    #[error("nothing was heard of the host for {} s", silence.as_secs_f64())]
+    #[error("the host was silent for {} s", silence.as_secs_f64())]
     HostSilent {
         /// Time without a message.
         silence: Duration,
@@ -191,7 +191,7 @@ pub enum RemoteError {
         cause: Box<RemoteError>,
     },
     /// A lane of this host that has to end.
-    #[error("its link cannot go on: {cause}")]
+    #[error("its link cannot continue: {cause}")]
     Lane {
         /// Reason.
         cause: Box<RemoteError>,

@@ -31,16 +31,16 @@ pub struct Unusable(#[from] MediaError);
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
     /// It has more or fewer pixels than the frame.
-    #[error("a picture of the other machine does not fit its frame")]
+    #[error("an image of the other machine does not match its frame")]
     Size,
     /// A new stream beyond [`MAX_STREAMS`].
-    #[error("the other machine begins too many streams")]
+    #[error("the other machine has too many streams")]
     TooManyStreams,
     /// Its stream never began.
-    #[error("a picture of the other machine belongs to no stream")]
+    #[error("an image of the other machine has no stream")]
     NoStream,
     /// An error of the decoder.
-    #[error("a picture of the other machine cannot be decoded: {0}")]
+    #[error("an image of the other machine cannot be decoded: {0}")]
     Media(#[from] MediaError),
 }
 

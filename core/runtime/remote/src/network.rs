@@ -18,11 +18,11 @@ pub const UNNAMED: &str = "unnamed";
 #[derive(Debug, thiserror::Error)]
 pub enum NetworkError {
     /// A malformed address.
-    #[error("`{0}` is no address; write tls/HOST:PORT, or tcp/HOST:PORT inside one machine")]
+    #[error("`{0}` is not an address; write tls/HOST:PORT, or tcp/HOST:PORT inside one machine")]
     BadAddress(String),
     /// An unencrypted address of another machine.
     #[error(
-        "`{0}` leads to another machine without encryption: {remedy}",
+        "`{0}` would connect to another machine without encryption: {remedy}",
         remedy = "use tls/ and keys of `panoscope keys`"
     )]
     Plaintext(String),

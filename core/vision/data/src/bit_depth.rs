@@ -40,7 +40,7 @@ pub enum Remark {
 
 /// Values that exceed 16 bits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{name}: values up to {peak} are more than 16 bits hold: scale the image so that white is 1.0, 255 or 65535")]
+#[error("{name}: values up to {peak} exceed 16 bits: scale the image so that white is 1.0, 255 or 65535")]
 pub struct TooBright {
     name: String,
     peak: f32,

@@ -42,5 +42,5 @@ impl Device {
 
 /// The warning of a node that continues without the GPU.
 pub fn given_up(reason: &dyn std::fmt::Display) -> String {
-    format!("the processor computes the pictures: {reason}")
+    format!("the processor computes the images: {reason}")
 }

@@ -28,7 +28,7 @@ pub enum GpuError {
     },
     /// An image does not fit into a buffer of the device.
     #[error(
-        "{name} takes buffers of at most {limit_bytes} bytes, this picture needs {bytes}: use smaller pictures, or the processor"
+        "{name} takes buffers of at most {limit_bytes} bytes, but this image needs {bytes}: use smaller images, or the processor"
     )]
     TooLarge {
         /// The device.

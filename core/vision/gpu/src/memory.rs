@@ -106,7 +106,7 @@ impl Transfer {
         match seen.recv_timeout(ANSWER) {
             Ok(Ok(())) => {}
             Ok(Err(e)) => return Err(gpu.failed(e)),
-            Err(_) => return Err(gpu.failed("it did not answer")),
+            Err(_) => return Err(gpu.failed("it did not respond")),
         }
         let view = part.get_mapped_range().map_err(|e| gpu.failed(e))?;
         read(&view);

@@ -47,7 +47,7 @@ pub fn maintainer() -> Result<String> {
     match field(name.or_else(|| git("user.name")), address.or_else(|| git("user.email"))) {
         Some(maintainer) => Ok(maintainer),
         None => {
-            bail!("a package names who made it: set DEBEMAIL=\"Name <address>\", or git's user.name and user.email")
+            bail!("a package needs a maintainer: set DEBEMAIL=\"Name <address>\", or git's user.name and user.email")
         }
     }
 }

@@ -58,7 +58,7 @@ pub fn wheel(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Whee
     binaries.iter().try_for_each(|file| strip(file))?;
     let version = env!("CARGO_PKG_VERSION");
     let minor = binaries.iter().map(|file| Ok(newest_glibc(&fs::read(file)?))).collect::<Result<Vec<_>>>()?;
-    let minor = minor.into_iter().max().flatten().context("no program names a version of the C library")?;
+    let minor = minor.into_iter().max().flatten().context("no program refers to a version of the C library")?;
     let tag = format!("cp{}-abi3-manylinux_2_{minor}_{}", PYTHON.replace('.', ""), std::env::consts::ARCH);
     add_metadata(workspace, &stage.join(format!("panoscope-{version}.dist-info")), version, &tag)?;
     let file = dir.join(format!("panoscope-{version}-{tag}.whl"));

@@ -141,7 +141,7 @@ pub fn signature(model: &[u8]) -> Result<Signature, Malformed> {
             _ => {}
         }
     }
-    let Some(graph) = graph else { return Err(Malformed { reason: "it holds no graph", offset: model.len() }) };
+    let Some(graph) = graph else { return Err(Malformed { reason: "it has no graph", offset: model.len() }) };
     let mut weights = HashSet::new();
     for field in reader.fields(graph) {
         let Field { number, bytes: Some(bytes), .. } = field? else { continue };
@@ -196,6 +196,6 @@ mod tests {
             // No part of a model panics.
             let _ = signature(&model[..cut]);
         }
-        assert_eq!(signature(b"").unwrap_err().reason, "it holds no graph");
+        assert_eq!(signature(b"").unwrap_err().reason, "it has no graph");
     }
 }

@@ -25,13 +25,13 @@ pub enum TooMuch {
     #[error(transparent)]
     Malformed(#[from] Malformed),
     /// Too many nodes.
-    #[error("it has {} nodes, with those of its functions and nested graphs, and a model may have {MAX_NODES}", shown(*.nodes))]
+    #[error("it has {} nodes, with those of its functions and nested graphs, but the limit is {MAX_NODES}", shown(*.nodes))]
     Nodes {
         /// Number of nodes; [`u64::MAX`] for more than can be counted.
         nodes: u64,
     },
     /// Folding its constants would compute too many values.
-    #[error("opening it computes {} values from its constants, and {most} are in proportion to its size", shown(*.values))]
+    #[error("opening it would compute {} values from its constants, but the limit for its size is {most}", shown(*.values))]
     Constants {
         /// Number of values; [`u64::MAX`] when it overflows.
         values: u64,
@@ -39,7 +39,7 @@ pub enum TooMuch {
         most: u64,
     },
     /// A loop without an end.
-    #[error("it has a loop that nothing ends before {}, and a loop may have {MAX_TURNS}", .turns.map_or("the end of time".to_owned(), |turns| format!("{turns} turns")))]
+    #[error("it has a loop of {} iterations, but the limit is {MAX_TURNS}", .turns.map_or("unlimited".to_owned(), |turns| turns.to_string()))]
     Endless {
         /// Iterations that the model states.
         turns: Option<i64>,

@@ -23,7 +23,7 @@ pub use table::Table;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
     /// The bytes end inside a field.
-    #[error("packet `{packet}` is cut off: field `{field}` ends at byte {end}, but {len} bytes arrived")]
+    #[error("packet `{packet}` is truncated: field `{field}` ends at byte {end}, but {len} bytes arrived")]
     Short {
         /// Packet type.
         packet: &'static str,
@@ -49,7 +49,7 @@ pub enum PacketError {
         len: usize,
     },
     /// A table has another number of names than columns.
-    #[error("packet `table`: field `names` holds {names} names for {columns} columns")]
+    #[error("packet `table`: field `names` has {names} names for {columns} columns")]
     Names {
         /// Names in the text.
         names: usize,
@@ -57,7 +57,7 @@ pub enum PacketError {
         columns: usize,
     },
     /// The description of a frame contradicts itself or its length.
-    #[error("packet `{packet}`: {width}x{height} with {stride_bytes} bytes a row does not fit {len} bytes")]
+    #[error("packet `{packet}`: {width}x{height} with {stride_bytes} bytes per row does not match {len} bytes")]
     Geometry {
         /// Packet type.
         packet: &'static str,

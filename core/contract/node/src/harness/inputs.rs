@@ -134,8 +134,7 @@ impl<N> Harness<N> {
     /// Gives an input a point cloud: `width * height` points, row after row.
     pub fn input_cloud(&mut self, name: &str, width: usize, height: usize, points: &[abi::CloudPoint]) -> &mut Self {
         if points.len() != width * height {
-            return self
-                .refuse(format!("input `{name}`: {width}x{height} points were expected, {} given", points.len()));
+            return self.refuse(format!("input `{name}`: expected {width}x{height} points, got {}", points.len()));
         }
         self.fill::<PointCloud>(name, "cloud", 0, |slot| {
             copy_rows(View::new(points, width, height, 1), slot.alloc_cloud(width, height)?);
@@ -216,7 +215,7 @@ impl<N> Harness<N> {
                 if !frame.is_empty() {
                     memory::release(frame.buffer);
                 }
-                return self.refuse(format!("input `{name}` was given twice; it is not a list"));
+                return self.refuse(format!("input `{name}` was given twice, but it is not a list"));
             }
             waiting => *waiting = Pending::Frames(vec![frame]),
         }

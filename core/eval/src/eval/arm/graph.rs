@@ -157,11 +157,11 @@ fn judged(session: &dyn Session, text: &str, path: &Path, name: &str, seconds: u
     run::run_watched(session, &plan, Watchers { listen: vec![listener], ..Watchers::default() })?;
     let mut table = Table::default();
     for ticks in std::mem::take(&mut *lock(&rows)).into_values() {
-        let ticks = ticks.context("the judge's table could not be read")?;
+        let ticks = ticks.context("the table of the evaluating node is malformed")?;
         table.rows.extend(ticks.rows);
         table.names = ticks.names;
     }
-    (!table.rows.is_empty()).then_some(()).context("the judge saw nothing")?;
+    (!table.rows.is_empty()).then_some(()).context("the evaluating node received no packets")?;
     let column = |name: &str| {
         table.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
     };
@@ -212,6 +212,6 @@ pub fn set_point_age(session: &dyn Session, seed: u64, seconds: u32, width: u32)
         pace: Pace::Camera,
     };
     let report = run::run(session, &plan)?.report;
-    let ages = report.paths.get("sent").context("no set-point was sent")?;
+    let ages = report.paths.get("sent").context("the controller sent no set-point")?;
     Ok((ages.age_p50_ms, ages.age_p99_ms))
 }

@@ -65,14 +65,17 @@ pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
         let mut all = nodes.iter().filter(|(_, node)| is_type(node, kind)).map(|(id, _)| id.clone());
         match (all.next(), all.next()) {
             (Some(id), None) => Ok(id),
-            _ => bail!("{}: a graph that is judged has one node of type `{kind}`", path.display()),
+            _ => bail!("{}: the graph must have exactly one node of type `{kind}`", path.display()),
         }
     };
     let (phantom, arm, track) = (one("phantom")?, one("arm_sim")?, one("tip_track")?);
     for truth in ["tip", "lead", "second", "detections", "instances", "depth", "disparity", "clearance"] {
         let truth = format!("{phantom}.{truth}");
         if nodes.values().any(|node| reads(node, &truth)) {
-            bail!("{}: a node reads `{truth}`, the phantom's truth; nothing is judged by it", path.display());
+            bail!(
+                "{}: a node reads `{truth}`, the phantom's ground truth; connect it to an estimate instead",
+                path.display()
+            );
         }
     }
     let params = nodes[&phantom].get("params");
@@ -91,7 +94,7 @@ pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
         }
         Some(())
     };
-    nodes.get_mut(&phantom).and_then(set).with_context(|| format!("{}: `{phantom}` is no node", path.display()))?;
+    nodes.get_mut(&phantom).and_then(set).with_context(|| format!("{}: `{phantom}` is not a node", path.display()))?;
     let inputs = [
         ("tip", format!("{phantom}.lead")),
         ("arm", format!("{arm}.table")),

@@ -83,13 +83,13 @@ pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, setti
     let seen = run::run(session, &plan)?;
     let report = seen.report.nodes.get("find").context("the node did not run")?;
     if report.faults > 0 {
-        bail!("`{}` failed on {} of {count} pictures", node.name(), report.faults);
+        bail!("`{}` failed on {} of {count} images", node.name(), report.faults);
     }
     let found = read_found(&out)?;
     let mut strangers: BTreeMap<&str, usize> = BTreeMap::new();
     let mut finds = Vec::new();
     if found.by_image.len() != truth.pictures.len() {
-        bail!("`{}` answered {} of {count} pictures", node.name(), found.by_image.len());
+        bail!("`{}` returned results for {} of {count} images", node.name(), found.by_image.len());
     }
     for (picture, annotations) in truth.pictures.iter().zip(found.by_image.values()) {
         let mut list = Vec::new();

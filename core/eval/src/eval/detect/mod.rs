@@ -279,7 +279,7 @@ impl Judge<'_> {
         let more = truth::read(self.session, &folder, Some("test"), None)?.only(&self.options.held_out);
         truth.pictures.extend(more.ordered(&truth.classes).pictures);
         if truth.pictures.is_empty() {
-            bail!("no frame is of the operations {}", self.options.held_out.join(", "));
+            bail!("no frame belongs to the operations {}", self.options.held_out.join(", "));
         }
         self.judge("left_out", Node::Yolo, &model, truth, true)
     }

@@ -124,7 +124,7 @@ pub fn compare(
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .with_context(|| format!("cannot start {}: name a Python with --python", python.display()))?;
+        .with_context(|| format!("cannot start {}: choose a Python with --python", python.display()))?;
     if let Some(mut input) = child.stdin.take() {
         // A Python that ended already says why below.
         let _ = input.write_all(script.as_bytes());
@@ -133,7 +133,7 @@ pub fn compare(
     let words = String::from_utf8_lossy(&output.stderr);
     if words.contains("No module named") {
         bail!(
-            "{} has no pycocotools: `{} -m pip install pycocotools`, or name another Python with --python",
+            "{} has no pycocotools: run `{} -m pip install pycocotools`, or choose another Python with --python",
             python.display(),
             python.display()
         );
@@ -141,14 +141,15 @@ pub fn compare(
     if !output.status.success() {
         bail!("pycocotools failed: {}", words.lines().last().unwrap_or("no reason given"));
     }
-    let theirs: PeerScores = serde_json::from_slice(&output.stdout).context("pycocotools answered something else")?;
+    let theirs: PeerScores =
+        serde_json::from_slice(&output.stdout).context("the output of pycocotools is malformed")?;
     let mut worst = 0f64;
     let mut check = |what: &str, own: f64, other: Option<f64>| -> Result<()> {
         let Some(other) = other else {
             if own.is_nan() {
                 return Ok(());
             }
-            bail!("self-check: {what} is {own:.6} here and nothing in pycocotools");
+            bail!("self-check: {what} is {own:.6} here, but missing in pycocotools");
         };
         worst = worst.max((own - other).abs());
         // NaN agrees with nothing.

@@ -36,16 +36,16 @@ fn read_phases(path: &Path) -> Result<Vec<(f64, String)>> {
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let place = || format!("{}, line {}", path.display(), index + 1);
         let (start, name) =
-            line.split_once(',').with_context(|| format!("{}: a begin in s, a comma, a name", place()))?;
+            line.split_once(',').with_context(|| format!("{}: expected a begin in s, a comma and a name", place()))?;
         let Ok(start) = start.trim().parse::<f64>() else {
             // A head is welcome.
             ensure!(index == 0, "{}: `{}` is not a number of seconds", place(), start.trim());
             continue;
         };
-        ensure!(phases.last().is_none_or(|(last, _)| *last <= start), "{}: phases come in order of time", place());
+        ensure!(phases.last().is_none_or(|(last, _)| *last <= start), "{}: phases must be in order of time", place());
         phases.push((start, name.trim().to_owned()));
     }
-    ensure!(!phases.is_empty(), "{} holds no phase", path.display());
+    ensure!(!phases.is_empty(), "{} has no phase", path.display());
     Ok(phases)
 }
 
@@ -225,7 +225,11 @@ fn read(session: &dyn Session, options: &Options) -> Result<SkillStudy> {
         }
         study.collect();
     }
-    ensure!(study.session.tools().next().is_some(), "no tip in {}: was anything seen?", study.files.join(", "));
+    ensure!(
+        study.session.tools().next().is_some(),
+        "{} has no positions of a tip: did the run detect an instrument?",
+        study.files.join(", ")
+    );
     study.session.finish();
     study.collect();
     Ok(study)

@@ -117,7 +117,7 @@ impl Track {
                 || has(&["tip.xyz_mm_0", "tip.xyz_mm_1", "tip.xyz_mm_2"]);
             if !is_track {
                 bail!(
-                    "{name} has no columns of places (`x_mm`, `y_mm`, `z_mm`): give a table of `tip_track` or `proximity`, or a tip"
+                    "{name} has no columns of positions (`x_mm`, `y_mm`, `z_mm`): give a table of `tip_track` or `proximity`, or a tip"
                 );
             }
             Form::Csv(columns)
@@ -165,7 +165,7 @@ impl Track {
                             return Ok(());
                         }
                         bail!(
-                            "{} has not as many cells as the first line: was the file written by two runs?",
+                            "{} has another number of cells than the first line: was the file written by two runs?",
                             place(self.line)
                         );
                     };
@@ -203,7 +203,7 @@ impl Track {
             };
             for row in rows {
                 if !row.at_s.is_finite() {
-                    bail!("{} has no time: `capture_ms` is missing or no number", place(self.line));
+                    bail!("{} has no time: `capture_ms` is missing or not a number", place(self.line));
                 }
                 if row.at_s < self.last_s {
                     bail!(

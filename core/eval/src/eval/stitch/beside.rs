@@ -58,7 +58,7 @@ pub fn set_all(methods: &mut [Method], settings: &[String]) -> Result<()> {
             known |= method.wiring.apply(text);
         }
         if !known {
-            bail!("`{text}`: none of the graphs has such a node `{node}`");
+            bail!("`{text}`: none of the graphs has a node `{node}`");
         }
     }
     Ok(())
@@ -147,8 +147,9 @@ pub fn judged(session: &dyn Session, methods: &[Method], source: &Source, frames
     let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
     let seen = run::run(session, &plan)?;
     let read = |packet: &Option<_>| -> Result<packets::Table> {
-        let packet: &panoscope_engine::memory::FrameRef = packet.as_ref().context("the judge saw nothing")?;
-        packets::Table::read(packet.bytes()).context("the judge's table could not be read")
+        let packet: &panoscope_engine::memory::FrameRef =
+            packet.as_ref().context("the evaluating node received no packets")?;
+        packets::Table::read(packet.bytes()).context("the table of the evaluating node is malformed")
     };
     seen.packets.iter().map(read).collect()
 }

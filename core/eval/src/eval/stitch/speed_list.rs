@@ -23,13 +23,13 @@ pub enum SpeedListError {
         text: String,
     },
     /// A speed or step outside of the range of the phantom's camera.
-    #[error("{speed_cm_s} cm/s is outside 0 to {MAX_CM_S}, which is what the phantom's camera can do")]
+    #[error("{speed_cm_s} cm/s is outside 0 to {MAX_CM_S}, the range of the phantom's camera")]
     OutOfRange {
         /// The speed, cm/s.
         speed_cm_s: f64,
     },
     /// The first end of a range is not below the second.
-    #[error("the range `{range}` does not ascend; the slower speed stands first")]
+    #[error("the range `{range}` does not ascend; put the lower speed first")]
     NotAscending {
         /// The range.
         range: String,
@@ -41,7 +41,7 @@ pub enum SpeedListError {
         range: String,
     },
     /// The list has too many speeds.
-    #[error("{count} speeds are given, {MAX_SPEEDS} are the most")]
+    #[error("{count} speeds exceed the limit of {MAX_SPEEDS}")]
     TooMany {
         /// Number of speeds.
         count: usize,

@@ -118,8 +118,8 @@ fn measure(session: &dyn Session, data: &Data, plane: &Plane, node: &str) -> Res
     let plan =
         Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, pace: Pace::Free };
     let seen = run::run(session, &plan)?;
-    let packet = |index: usize| seen.packets[index].as_ref().context("a port stayed empty");
-    let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table could not be read");
+    let packet = |index: usize| seen.packets[index].as_ref().context("an output is empty");
+    let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table is malformed");
     let points = |table: Table| -> Vec<[f64; 2]> { table.rows.iter().map(|row| [row[0], row[1]]).collect() };
     let (first, second) = (points(read(0)?), points(read(1)?));
     let mut rows = read(2)?.rows;

@@ -182,17 +182,17 @@ impl Association {
             let values = match pdu {
                 Pdu::PData { data } => data,
                 Pdu::AbortRQ { .. } => return Err(self.broken("it aborted the association".to_owned())),
-                other => return Err(self.broken(format!("{} came instead of a response", other.short_description()))),
+                other => return Err(self.broken(format!("got {} instead of a response", other.short_description()))),
             };
             for value in values {
                 let is_command = value.value_type == PDataValueType::Command;
                 if is_command == command.is_some() {
-                    return Err(self.broken("a response whose parts are in the wrong order".to_owned()));
+                    return Err(self.broken("the parts of a response are in the wrong order".to_owned()));
                 }
                 let (part, limit) =
                     if is_command { (&mut command_bytes, MAX_COMMAND_BYTES) } else { (&mut data, MAX_ENTRY_BYTES) };
                 if part.len() + value.data.len() > limit {
-                    return Err(self.broken(format!("a response of more than {limit} bytes")));
+                    return Err(self.broken(format!("a response has more than {limit} bytes")));
                 }
                 part.extend_from_slice(&value.data);
                 if !value.is_last {
@@ -203,7 +203,7 @@ impl Association {
                     if read_number(&parsed, tags::COMMAND_FIELD) != Some(field)
                         || read_number(&parsed, tags::MESSAGE_ID_BEING_RESPONDED_TO) != Some(id)
                     {
-                        return Err(self.broken("a response to another request came".to_owned()));
+                        return Err(self.broken("got a response to another request".to_owned()));
                     }
                     if read_number(&parsed, tags::COMMAND_DATA_SET_TYPE) == Some(NO_DATA) {
                         return Ok(Response { command: parsed, data });
@@ -234,10 +234,10 @@ impl Association {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum CommandError {
     /// A length inside it is wrong.
-    #[error("a command set that cannot be read: {0}")]
+    #[error("the command set cannot be read: {0}")]
     Length(#[from] LengthError),
     /// It cannot be decoded.
-    #[error("a command set that cannot be read: {reason}")]
+    #[error("the command set cannot be read: {reason}")]
     Decode { reason: String },
 }
 

@@ -41,7 +41,7 @@ pub struct AeTitle(String);
 
 /// A text that is not an application entity title.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no application entity title: 1 to 16 characters of ASCII without `\\`, not spaces alone")]
+#[error("`{text}` is not an application entity title: 1 to 16 characters of ASCII without `\\`, not spaces alone")]
 pub struct AeTitleError {
     /// The text.
     pub text: String,
@@ -206,7 +206,7 @@ impl Store {
             .get(tags::AFFECTED_SOP_INSTANCE_UID)
             .is_none_or(|own| own.to_str().is_ok_and(|own| own.trim_end_matches('\0').trim() == instance));
         if !confirmed {
-            return Err(association.broken("it confirmed another object than the one that was sent".to_owned()));
+            return Err(association.broken("it confirmed another object than the sent one".to_owned()));
         }
         match status(association, &response.command)? {
             // Stored; stored with a warning, such as values that it changed.
@@ -237,7 +237,7 @@ fn command(field: u16, id: u16, class: &str, has_data: bool, more: &[dicom_objec
 }
 
 fn status(association: &Association, command: &Set) -> Result<u16> {
-    read_number(command, tags::STATUS).ok_or_else(|| association.broken("a response without a status".to_owned()))
+    read_number(command, tags::STATUS).ok_or_else(|| association.broken("a response has no status".to_owned()))
 }
 
 fn failed(association: &Association, service: &'static str, status: u16, command: &Set) -> DicomError {

@@ -51,7 +51,7 @@ impl Clip {
         let mut file = File::open(mp4).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
         if bytes > MAX_BYTES {
-            return Err(wrong(format!("{bytes} bytes of video; an object holds at most 4 GiB: record shorter clips")));
+            return Err(wrong(format!("{bytes} bytes of video; the limit is 4 GiB: record shorter clips")));
         }
         let film = mp4::parse(&mut file).map_err(|error| wrong(error.to_string()))?;
         let transfer_syntax = transfer_syntax(&film).map_err(|error| wrong(error.to_string()))?;

@@ -37,10 +37,10 @@ pub enum Mp4Error {
     #[error(transparent)]
     Read(#[from] std::io::Error),
     /// A box inside the index is longer than its container.
-    #[error("a box `{kind}` of {size} bytes, {left} are there")]
+    #[error("a box `{kind}` has {size} bytes, but only {left} follow")]
     LongBox { kind: String, size: usize, left: usize },
     /// A box of the file is longer than the file.
-    #[error("at byte {at}: a box of {size} bytes, {left} are there")]
+    #[error("at byte {at}: a box has {size} bytes, but only {left} follow")]
     LongBoxAt { at: u64, size: u64, left: u64 },
     /// Too many boxes at one level.
     #[error("more than {MAX_BOXES} boxes")]
@@ -49,40 +49,40 @@ pub enum Mp4Error {
     #[error("there is no box `{kind}`")]
     NoBox { kind: String },
     /// A box ends before its fields do.
-    #[error("{what} is cut off")]
+    #[error("{what} is truncated")]
     Cut { what: &'static str },
     /// A track of sound, for example.
-    #[error("it has a track that is no video")]
+    #[error("it has a track other than video")]
     OtherTrack,
     /// No video track, or several.
     #[error("it has {count} video tracks, not one")]
     Tracks { count: usize },
     /// The index is too long.
-    #[error("its index has {size} bytes; {MAX_INDEX_BYTES} are the most")]
+    #[error("its index of {size} bytes exceeds the limit of {MAX_INDEX_BYTES}")]
     LongIndex { size: u64 },
     /// The box `moov` is missing.
-    #[error("it has no index: no MP4 file, or one that was not completed")]
+    #[error("it has no index: it is not an MP4 file, or was not completed")]
     NoIndex,
     /// Neither version 0 nor 1.
-    #[error("a version of `mdhd` that is not known")]
+    #[error("the version of `mdhd` is unknown")]
     Version,
     /// Several descriptions.
-    #[error("its pictures are coded in more than one way")]
+    #[error("its images have more than one encoding")]
     Codings,
     /// No description.
-    #[error("its pictures are not described")]
+    #[error("its images have no description")]
     NoCoding,
     /// Another codec.
-    #[error("its pictures are `{kind}`, not H.264 (`avc1`)")]
+    #[error("its images are `{kind}`, not H.264 (`avc1`)")]
     OtherCoding { kind: String },
     /// No images, or images without pixels or duration.
-    #[error("it holds no pictures")]
+    #[error("it has no images")]
     Empty,
     /// More than 2^31 images.
-    #[error("too many pictures")]
+    #[error("it has too many images")]
     TooMany,
     /// More than 2^64 ticks.
-    #[error("too long")]
+    #[error("it is too long")]
     TooLong,
 }
 

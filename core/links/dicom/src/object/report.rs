@@ -146,7 +146,7 @@ impl Lengths {
         let lengths = Self::read(BufReader::new(File::open(file).map_err(failed)?));
         let lengths = lengths.map_err(|error| wrong(error.to_string()))?;
         if lengths.rows.is_empty() {
-            return Err(wrong("it holds no measurement: it needs the `table` of a node `measure`".to_owned()));
+            return Err(wrong("it has no measurement: it must be the `table` of a node `measure`".to_owned()));
         }
         Ok(lengths)
     }

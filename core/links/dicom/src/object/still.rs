@@ -52,7 +52,7 @@ impl Still {
         let failed = |cause| DicomError::Read { file: file.to_owned(), cause };
         let about = std::fs::metadata(file).map_err(failed)?;
         if about.len() > MAX_FILE_BYTES {
-            return Err(wrong(format!("{} bytes; {MAX_FILE_BYTES} are the most", about.len())));
+            return Err(wrong(format!("{} bytes exceed the limit of {MAX_FILE_BYTES}", about.len())));
         }
         let bytes = std::fs::read(file).map_err(failed)?;
         let sha256: [u8; 32] = Sha256::digest(&bytes).into();
@@ -173,13 +173,13 @@ enum StillError {
     #[error(transparent)]
     Decode(#[from] image::ImageError),
     /// A truncated JPEG.
-    #[error("the JPEG is cut off: its end is missing")]
+    #[error("the JPEG is truncated: its end is missing")]
     CutOff,
     /// It is empty or too large.
     #[error("{width} x {height} px; DICOM holds at most 65535 in each direction")]
     Size { width: u32, height: u32 },
     /// Its pixels are of another kind.
-    #[error("its pixels are {color:?}; stills have 8 bits, gray or RGB")]
+    #[error("its pixels are {color:?}; stills must have 8 bits, gray or RGB")]
     Color { color: image::ColorType },
 }
 

@@ -37,13 +37,13 @@ const FOXGLOVE_ORIGIN: &str = "https://app.foxglove.dev";
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     /// Not the head of an HTTP request.
-    #[error("this is no request for a WebSocket")]
+    #[error("this is not a WebSocket request")]
     Malformed,
     /// The head did not arrive in time.
-    #[error("no whole request came within {} s", MAX_HEAD_TIME.as_secs())]
+    #[error("no complete request arrived within {} s", MAX_HEAD_TIME.as_secs())]
     Silent,
     /// The maximum number of clients is reached.
-    #[error("{MAX_CLIENTS} clients are connected, and more are not served; close one of them")]
+    #[error("{MAX_CLIENTS} clients are connected, which is the limit; close one of them")]
     Full,
     /// `Host` is a name, which could belong to another page.
     #[error("ask with an IP address or `localhost` as the host: a name could belong to another page")]

@@ -54,7 +54,7 @@ pub enum ParameterError {
         name: String,
     },
     /// The parameter exists and is unchanged.
-    #[error("`{name}` is not set: {why}")]
+    #[error("`{name}` was not set: {why}")]
     Refused {
         /// The parameter, as `node.param`.
         name: String,
@@ -70,7 +70,7 @@ pub enum Refusal {
     #[error("the graph has a `[preset]`, which does not pin it")]
     NotPinned,
     /// Its node has side effects and no preset pins the parameter.
-    #[error("its node acts on the world; pin it in `[preset]` to allow it")]
+    #[error("its node has side effects; pin it in `[preset]` to allow it")]
     SideEffects,
     /// The request has no value.
     #[error("it has no value")]

@@ -4,19 +4,19 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum JpegError {
     /// The first bytes are not those of a JPEG.
-    #[error("it does not begin as a JPEG")]
+    #[error("it does not begin like a JPEG")]
     NotJpeg,
     /// The end marker is missing.
-    #[error("the JPEG is cut off after {bytes} bytes: its end is missing")]
+    #[error("the JPEG is truncated after {bytes} bytes: its end is missing")]
     CutOff {
         /// Number of bytes.
         bytes: usize,
     },
     /// There is no scan before the end marker.
-    #[error("the JPEG holds no picture")]
+    #[error("the JPEG has no image")]
     NoPicture,
     /// Its coded data do not match the blocks in its header.
-    #[error("the data of the JPEG are damaged near block {block}")]
+    #[error("the JPEG is damaged near block {block}")]
     Broken {
         /// Number of the block, or group of blocks, at which this was noticed.
         block: usize,

@@ -9,7 +9,7 @@ use crate::cdr::CdrError;
 #[derive(Debug, thiserror::Error)]
 pub enum BagError {
     /// The output exists already.
-    #[error("{} exists: name another folder", .path.display())]
+    #[error("{} already exists: choose another folder", .path.display())]
     Exists {
         /// The folder.
         path: PathBuf,
@@ -26,7 +26,7 @@ pub enum BagError {
     #[error(transparent)]
     Message(#[from] CdrError),
     /// A type without a definition.
-    #[error("there is no definition of `{message}`")]
+    #[error("the definition of `{message}` is missing")]
     NoDefinition {
         /// The type.
         message: &'static str,
@@ -54,7 +54,7 @@ pub enum BagError {
         path: PathBuf,
     },
     /// Messages that are compressed individually.
-    #[error("messages of `{topic}` in {} are compressed one by one, which is not read here: write the bag again with `ros2 bag convert`", .path.display())]
+    #[error("messages of `{topic}` in {} are compressed individually, which is not supported: write the bag again with `ros2 bag convert`", .path.display())]
     PackedMessage {
         /// The file.
         path: PathBuf,

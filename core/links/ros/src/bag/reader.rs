@@ -95,7 +95,7 @@ fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
         Some((size, crc, fields.bytes(name_len)?, fields.u64()?))
     })();
     let Some((size, crc, name, packed_len)) = head else {
-        return if is_cut { Ok(Vec::new()) } else { Err("the head of a chunk does not fit it".to_owned()) };
+        return if is_cut { Ok(Vec::new()) } else { Err("the header of a chunk does not match it".to_owned()) };
     };
     if size > MAX_RECORD_BYTES {
         return Err(format!("a chunk of {size} bytes is longer than {MAX_RECORD_BYTES}"));
@@ -108,13 +108,13 @@ fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
         b"lz4" => lz4::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes)),
         other => {
             let name = String::from_utf8_lossy(other).chars().take(20).collect::<String>();
-            return Err(format!("chunks compressed with `{name}` are not read here"));
+            return Err(format!("compression `{name}` of chunks is not supported"));
         }
     };
     if !is_cut {
-        unpacked.map_err(|error| format!("a chunk cannot be unpacked: {error}"))?;
+        unpacked.map_err(|error| format!("a chunk cannot be decompressed: {error}"))?;
         if bytes.len() as u64 != size || crc != 0 && crc32fast::hash(&bytes) != crc {
-            return Err("a chunk has other bytes than were written".to_owned());
+            return Err("the CRC of a chunk is wrong".to_owned());
         }
     }
     Ok(bytes)
@@ -284,7 +284,7 @@ impl BagReader {
             let (Some((opcode, _)), Some(end)) = (record, end.filter(|end| *end <= bytes.len())) else {
                 return match part.form {
                     Form::CutChunk => Ok(()),
-                    _ => Err(source.damaged("a record does not fit its chunk")),
+                    _ => Err(source.damaged("a record exceeds its chunk")),
                 };
             };
             at = end;

@@ -219,7 +219,7 @@ impl Scan {
     fn chunk(&mut self, head: &[u8], (at, len): (u64, u64), is_whole: bool) -> Result<(), ScanError> {
         let mut fields = Fields(head);
         let Some((start_ns, end_ns)) = fields.u64().zip(fields.u64()) else {
-            return if is_whole { Err(damaged("a chunk has no head")) } else { Ok(()) };
+            return if is_whole { Err(damaged("a chunk has no header")) } else { Ok(()) };
         };
         if len > MAX_RECORD_BYTES {
             return Err(damaged(format!("a record of {len} bytes is longer than {MAX_RECORD_BYTES}")));

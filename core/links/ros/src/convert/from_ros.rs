@@ -27,7 +27,7 @@ const MAX_DECODED_BYTES: u64 = 1 << 30;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConvertError {
     /// A size that does not fit the bytes, or is too large.
-    #[error("{width}x{height} with {step} bytes a row does not fit {len} bytes")]
+    #[error("{width}x{height} with {step} bytes per row does not match {len} bytes")]
     Size {
         /// Columns.
         width: u32,
@@ -40,14 +40,14 @@ pub enum ConvertError {
     },
     /// An unsupported image encoding.
     #[error(
-        "the encoding `{encoding}` is not read here: mono8, bgr8, rgb8, bgra8, rgba8, mono16, 16UC1, 32FC1 and bayer_*8 are"
+        "the encoding `{encoding}` is not supported: use mono8, bgr8, rgb8, bgra8, rgba8, mono16, 16UC1, 32FC1 or bayer_*8"
     )]
     Encoding {
         /// Its name.
         encoding: String,
     },
     /// A compressed image that cannot be decoded.
-    #[error("a compressed picture (`{format}`) cannot be decoded: {words}")]
+    #[error("a compressed image (`{format}`) cannot be decoded: {words}")]
     Compressed {
         /// Format stated by the message.
         format: String,
@@ -61,7 +61,7 @@ pub enum ConvertError {
         field: &'static str,
     },
     /// More entries than a packet can hold.
-    #[error("{count} {what} are too many: at most {most}")]
+    #[error("{count} {what} exceed the limit of {most}")]
     TooMany {
         /// Number of entries.
         count: usize,

@@ -476,8 +476,7 @@ impl Engine {
                 number.map(|number| threads.remove(&number));
                 drop(threads);
                 if let Some(Err(cause)) = number.map(|number| self.shared.pool.give_up(number)) {
-                    self.shared
-                        .fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
+                    self.shared.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
                 }
                 continue;
             }

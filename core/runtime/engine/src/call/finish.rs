@@ -33,7 +33,7 @@ impl NodeRuntime {
             return;
         }
         if failure.is_empty() {
-            failure = "it gave no reason".to_owned();
+            failure = "it returned no message".to_owned();
         }
         let words = format!("its output could not be completed: {failure}");
         bump(&self.stats.faults);

@@ -573,7 +573,7 @@ impl NodeRuntime {
         if exec.instance.retained.count() > MAX_RETAINED_FRAMES {
             made.clear();
             exec.failure.clear();
-            exec.failure.push_str("it retains more frames than a node may: a leak");
+            exec.failure.push_str("it retains too many frames: a leak");
             let leak = Box::new((Cause::Leak, String::new()));
             return self.failed(exec, context, abi::STATUS_ERROR, Some(leak), tick, end_ns);
         }

@@ -89,7 +89,7 @@ pub(super) fn after_crash(victim: Option<&NodeNames>) {
         // SAFETY: waits; allowed in a signal handler.
         unsafe { libc::poll(std::ptr::null_mut(), 0, STEP_MS as i32) };
     }
-    Line::new().text("  files: may be incomplete, finishing them took too long").print();
+    Line::new().text("  files: may be incomplete, completing them took too long").print();
 }
 
 const STEP_MS: u128 = 10;
@@ -106,7 +106,7 @@ fn finish(victim: *const NodeNames, until: Instant) -> String {
         match ENGINES.try_lock() {
             Ok(engines) => break engines.iter().filter_map(Weak::upgrade).collect(),
             Err(_) if Instant::now() < until => std::thread::sleep(Duration::from_millis(1)),
-            Err(_) => return "  files: may be incomplete, finishing them took too long".to_owned(),
+            Err(_) => return "  files: may be incomplete, completing them took too long".to_owned(),
         }
     };
     let (mut finished, mut torn) = (Vec::new(), Vec::new());

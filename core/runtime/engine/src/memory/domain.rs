@@ -10,7 +10,7 @@ use crate::sync::lock;
 
 /// No domain is free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{most} groups of isolated nodes have frames in use; a process has memory for no more")]
+#[error("{most} groups of isolated nodes have frames in use, which is the limit")]
 pub struct DomainError {
     /// Maximum number of groups that may exist at a time.
     pub most: usize,

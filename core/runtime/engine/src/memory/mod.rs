@@ -47,7 +47,7 @@ pub struct Memory {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MemoryError {
     /// The limit is reached or the pool has no slot left.
-    #[error("frame memory is used up: {wanted_bytes} bytes wanted, {in_use_bytes} in use of {limit_bytes}")]
+    #[error("frame memory is exhausted: {wanted_bytes} bytes requested, {in_use_bytes} in use of {limit_bytes}")]
     Exhausted {
         /// Bytes asked for.
         wanted_bytes: usize,

@@ -264,7 +264,7 @@ impl<'a> Checker<'a> {
                     return Err(Wrong {
                         code: "param-length",
                         span: value.span.clone(),
-                        message: format!("`{name}` has {} numbers, it takes {count}", numbers.len()),
+                        message: format!("`{name}` has {} numbers; it must have {count}", numbers.len()),
                         label: format!("expected {count}"),
                         help: doc(param),
                     });
@@ -307,7 +307,7 @@ fn floats(param: &Param, items: &[Value], nested: bool, numbers: &mut Vec<f64>) 
             kind => match kind.number() {
                 Some(number) => numbers.push(number),
                 None => {
-                    let message = format!("`{}` is a list of numbers, this is {}", param.name, kind.found());
+                    let message = format!("`{}` must be a list of numbers, not {}", param.name, kind.found());
                     return Err(Wrong {
                         code: "param-type",
                         span: item.span.clone(),
@@ -346,7 +346,7 @@ fn wrong_type(param: &Param, value: &Value) -> Wrong {
     Wrong {
         code: "param-type",
         span: value.span.clone(),
-        message: format!("`{}` must be {expected}, this is {}", param.name, value.value.found()),
+        message: format!("`{}` must be {expected}, not {}", param.name, value.value.found()),
         label: format!("expected {expected}"),
         help,
     }
@@ -372,8 +372,8 @@ fn out_of_range(param: &Param, value: &Value, shown: &str) -> Wrong {
         code: "param-range",
         span: value.span.clone(),
         message: match shown.ends_with(|c: char| c.is_ascii_digit()) {
-            true => format!("`{}` is {}, allowed are {limits}", param.name, with_unit(shown, &param.unit)),
-            false => format!("`{}` is {shown}, allowed are {limits}", param.name),
+            true => format!("`{}` is {}; allowed: {limits}", param.name, with_unit(shown, &param.unit)),
+            false => format!("`{}` is {shown}; allowed: {limits}", param.name),
         },
         label: format!("expected {limits}"),
         help: doc(param),
@@ -405,7 +405,7 @@ fn on_step(
         code: "param-step",
         span: value.span.clone(),
         message: format!(
-            "`{}` is {}, allowed are {}",
+            "`{}` is {}; allowed: {}",
             param.name,
             with_unit(&number.to_string(), &param.unit),
             limits(param)

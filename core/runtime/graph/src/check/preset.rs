@@ -35,7 +35,8 @@ impl<'a> Checker<'a> {
         };
         let packet = &node_type.outputs[port].packet.name;
         if packet != PacketType::ANY && !PresetView::PACKETS.contains(&packet.as_str()) {
-            let message = format!("`{}.{}` is {packet}, that has no picture", reference.node, reference.port);
+            let message =
+                format!("`{}.{}` is {packet}, which cannot be shown as an image", reference.node, reference.port);
             self.error("wrong-view", &reference.span, message).help("the theatre shows pictures, maps and clouds");
             return None;
         }

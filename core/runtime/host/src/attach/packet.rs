@@ -19,7 +19,7 @@ pub enum PacketError {
     #[error("a packet of another machine is damaged; install the same version on both")]
     Damaged,
     /// No memory for it.
-    #[error("there is no memory for a packet of {len} bytes: {words}")]
+    #[error("a packet of {len} bytes does not fit into memory: {words}")]
     Memory {
         /// Its length.
         len: usize,

@@ -15,7 +15,7 @@ const MAX_BYTES: usize = 128 << 20;
 
 /// The queue is full: the reader is too slow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("it does not read what it is sent: {frames} messages with {bytes} bytes wait")]
+#[error("it does not read its messages: {frames} with {bytes} bytes wait")]
 pub struct Full {
     /// Frames that wait.
     pub frames: usize,

@@ -15,7 +15,7 @@ pub enum RuleError {
     Toml(String),
     /// It sets or releases an emergency stop.
     #[error(
-        "`{node}.{param}` is set only at the machine that runs the graph: a window elsewhere neither stops an arm nor releases it"
+        "`{node}.{param}` can be set only at the machine that runs the graph: other windows cannot stop or release an arm"
     )]
     Stop {
         /// The node.
@@ -24,7 +24,7 @@ pub enum RuleError {
         param: String,
     },
     /// It names code to load, or machines.
-    #[error("`{0}` is changed only at the machine that runs the graph")]
+    #[error("`{0}` can be changed only at the machine that runs the graph")]
     Code(&'static str),
     /// It refers to other files, whose values are not checked by these rules.
     #[error("an edit by a window has no parts and arguments: write their nodes and values into the graph")]

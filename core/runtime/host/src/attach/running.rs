@@ -375,7 +375,7 @@ fn only_reads(host: &str) -> Refused {
 fn change<E: Deref<Target = Engine>>(live: &mut Live<E>, base: &str, text: &str) -> Result<String, Refused> {
     let plain = |words: String| Refused { node: None, words };
     if base != live.text() {
-        return Err(plain("the graph was changed elsewhere meanwhile; look at it and change it again".to_owned()));
+        return Err(plain("the graph was changed elsewhere meanwhile; review it and change it again".to_owned()));
     }
     rules::check(live.text(), text).map_err(|error| plain(error.to_string()))?;
     live.apply_text(text).map(|applied| applied.to_string()).map_err(|error| {

@@ -35,7 +35,7 @@ pub enum KeyError {
         cause: std::io::Error,
     },
     /// A new key would replace a file.
-    #[error("{file} exists already, and a key is never replaced; name another file", file = file.display())]
+    #[error("{file} already exists, and keys are never replaced; choose another file", file = file.display())]
     Exists {
         /// The file.
         file: PathBuf,
@@ -51,7 +51,7 @@ pub enum KeyError {
         reason: &'static str,
     },
     /// Other users may read the secret key.
-    #[error("other users can read the secret key {file}, so it proves nothing; make a new one, and keep it with `chmod 600`", file = file.display())]
+    #[error("other users can read the secret key {file}, so it is not secret; make a new one, and protect it with `chmod 600`", file = file.display())]
     Open {
         /// The file.
         file: PathBuf,
@@ -82,16 +82,16 @@ fn read(file: &Path, expected: &'static str) -> Result<[u8; 32], KeyError> {
     // A key has a line or two; something else may have gigabytes.
     match opened.take(10_000).read_to_string(&mut text) {
         Ok(_) => {}
-        Err(error) if error.kind() == std::io::ErrorKind::InvalidData => return Err(damaged("it is no text")),
+        Err(error) if error.kind() == std::io::ErrorKind::InvalidData => return Err(damaged("it is not text")),
         Err(cause) => return Err(KeyError::File { file: file.to_owned(), cause }),
     }
     let mut lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     let words: Vec<&str> = lines.next().unwrap_or("").split_whitespace().collect();
     match (words.as_slice(), lines.next()) {
         ([kind, VERSION, key], None) if *kind == expected => {
-            digits(key).ok_or(damaged("its key has not 64 hexadecimal digits"))
+            digits(key).ok_or(damaged("its key does not have 64 hexadecimal digits"))
         }
-        ([SECRET | PUBLIC, ..], _) => Err(damaged("it is a key of another kind or version")),
+        ([SECRET | PUBLIC, ..], _) => Err(damaged("it has another kind or version")),
         _ => Err(damaged("it has no key")),
     }
 }

@@ -33,7 +33,7 @@ pub enum LockTextError {
         message: String,
     },
     /// It has another layout.
-    #[error("its layout is version {version}, known is {VERSION}")]
+    #[error("its layout has version {version}, but this program reads version {VERSION}")]
     Version {
         /// The version that it states.
         version: u32,
@@ -60,7 +60,7 @@ pub enum LockError {
         reason: String,
     },
     /// A required lock is missing.
-    #[error("{graph} was never locked: {file} does not exist; `panoscope lock` writes it", graph = graph.display(), file = file.display())]
+    #[error("{graph} is not locked: {file} does not exist; write it with `panoscope lock`", graph = graph.display(), file = file.display())]
     Never {
         /// The graph file.
         graph: PathBuf,

@@ -24,7 +24,7 @@ pub enum DataSetError {
     },
     /// No known layout.
     #[error(
-        "{folder} holds no data set of a known layout ({known}){remarks}; `panoscope import {folder}` shows what is looked for",
+        "{folder} has no data set of a known layout ({known}){remarks}; `panoscope import {folder}` lists the searched files",
         folder = folder.display(),
         remarks = in_words(remarks)
     )]

@@ -146,7 +146,7 @@ fn tiff(out: &mut dyn Write, pixels: &Pixels<'_>) -> io::Result<()> {
     let strip_len = u32::try_from(strip_len)
         .ok()
         .filter(|n| n.checked_add(data_at).is_some())
-        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "TIFF holds 4 GiB at most"))?;
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the limit of TIFF is 4 GiB"))?;
     out.write_all(b"II*\0\x08\0\0\0")?;
     out.write_all(&(entries as u16).to_le_bytes())?;
     let mut entry = |tag: u16, kind: u16, count: u32, value: u32| {

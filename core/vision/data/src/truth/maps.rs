@@ -62,7 +62,7 @@ pub enum ContentError {
     #[error("the EXR is damaged or of an unknown kind: {0}")]
     Exr(#[from] exr::error::Error),
     /// More pixels than a map may have.
-    #[error("its size is {width}x{height}: a map has up to {MAX_PIXELS} pixels")]
+    #[error("its size {width}x{height} exceeds the limit of {MAX_PIXELS} pixels")]
     Size {
         /// Columns.
         width: usize,
@@ -70,10 +70,10 @@ pub enum ContentError {
         height: usize,
     },
     /// An image in colours.
-    #[error("it is a picture in colours: a map has one number per pixel")]
+    #[error("it is a colour image, but a map has one number per pixel")]
     Colour,
     /// Samples that are not a map.
-    #[error("its samples are {samples}: 8, 16 or 32 bits without sign and floats are read")]
+    #[error("its samples are {samples}: use unsigned integers of 8, 16 or 32 bits, or floats")]
     Samples {
         /// The decoder's words.
         samples: String,
@@ -85,13 +85,13 @@ pub enum ContentError {
         channels: String,
     },
     /// An image that is not a map of points.
-    #[error("it holds {channels} number(s) per pixel: points are three floats per pixel, x, y and z")]
+    #[error("it has {channels} number(s) per pixel, but points are three floats per pixel, x, y and z")]
     Points {
         /// Numbers per pixel.
         channels: usize,
     },
     /// Values are missing.
-    #[error("it holds {found} values, {expected} are expected")]
+    #[error("it has {found} values, expected {expected}")]
     Short {
         /// Actual number of values.
         found: usize,

@@ -17,7 +17,7 @@ pub enum MaskError {
         cause: std::io::Error,
     },
     /// The file is not a PNG, or damaged.
-    #[error("{path}: the mask is damaged or no PNG: {cause}", path = path.display())]
+    #[error("{path}: the mask is damaged or not a PNG: {cause}", path = path.display())]
     Picture {
         /// The file.
         path: PathBuf,

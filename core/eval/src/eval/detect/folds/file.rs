@@ -43,7 +43,7 @@ impl Folds {
         let path = match path {
             Some(path) => path.to_owned(),
             None => shipped_file(Path::new(SHIPPED))
-                .with_context(|| format!("there is no {SHIPPED} here: name a file of folds with --fold-file"))?,
+                .with_context(|| format!("{SHIPPED} is missing: give a file of folds with --fold-file"))?,
         };
         let text = std::fs::read_to_string(&path).on_file(FileAction::Read, &path)?;
         let mut folds: Self =
@@ -55,15 +55,15 @@ impl Folds {
 
     fn check(&self) -> Result<()> {
         let file = self.path.display();
-        ensure!(self.folds.len() >= 2, "{file}: {} fold; a second one is needed to learn from", self.folds.len());
-        ensure!(self.frame_rate_hz > 0.0, "{file}: frame_rate_hz is {}; it has to be above 0", self.frame_rate_hz);
-        ensure!(self.block_s >= 0.0, "{file}: block_s is {}; it cannot be negative", self.block_s);
+        ensure!(self.folds.len() >= 2, "{file}: {} fold; at least two are needed", self.folds.len());
+        ensure!(self.frame_rate_hz > 0.0, "{file}: frame_rate_hz is {}; it must be above 0", self.frame_rate_hz);
+        ensure!(self.block_s >= 0.0, "{file}: block_s is {}; it must not be negative", self.block_s);
         let mut fold_of: BTreeMap<&str, &str> = BTreeMap::new();
         for (fold, operations) in &self.folds {
             ensure!(!operations.is_empty(), "{file}: fold {fold} has no operation");
             for operation in operations {
                 if let Some(other) = fold_of.insert(operation, fold) {
-                    bail!("{file}: operation {operation} is in fold {other} and in fold {fold}; one has to go");
+                    bail!("{file}: operation {operation} is in fold {other} and in fold {fold}; remove it from one");
                 }
             }
         }

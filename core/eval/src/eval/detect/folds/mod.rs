@@ -115,7 +115,7 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     let operations = folds.folds.get(name).map_or(&[][..], Vec::as_slice);
     let truth = truth.only(operations);
     if truth.pictures.is_empty() {
-        bail!("no frame is of the operations {} of fold {name}", operations.join(", "));
+        bail!("no frame belongs to the operations {} of fold {name}", operations.join(", "));
     }
     let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
     let classes = truth.classes.len();

@@ -67,7 +67,7 @@ impl Segmentation {
         if let Self::Runs { size, .. } | Self::Packed { size, .. } = self
             && *size != [height, width]
         {
-            bail!("a mask of {}x{} in a picture of {width}x{height}", size[1], size[0]);
+            bail!("a mask of {}x{} px belongs to an image of {width}x{height} px", size[1], size[0]);
         }
         let mask = match self {
             Self::Runs { counts, .. } => Mask::from_runs(width, height, counts),
@@ -81,7 +81,7 @@ impl Segmentation {
                 Some(mask)
             }
         };
-        mask.context("run lengths that do not cover the picture")
+        mask.context("the run lengths do not cover the image")
     }
 }
 
@@ -129,7 +129,7 @@ pub fn read(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     for a in file.annotations {
         let (Some(&at), Some(&class)) = (place.get(&a.image_id), classes.get(&a.category_id)) else {
             bail!(
-                "{}: an annotation of picture {} and category {}, which it does not list",
+                "{}: an annotation refers to image {} and category {}, which the file does not list",
                 path.display(),
                 a.image_id,
                 a.category_id

@@ -50,13 +50,9 @@ pub fn read(folder: &Path, images: Option<&Path>) -> Result<Truth> {
     for path in files(folder, &["json"]) {
         let text = std::fs::read_to_string(&path).on_file(FileAction::Read, &path)?;
         let file: File =
-            serde_json::from_str(&text).with_context(|| format!("{} is no labelme file", path.display()))?;
+            serde_json::from_str(&text).with_context(|| format!("{} is not a labelme file", path.display()))?;
         let Some(picture) = picture_of(&path, &file.image_path, images) else {
-            bail!(
-                "the picture of {} ({}) is not there: name its folder with --images",
-                path.display(),
-                file.image_path
-            );
+            bail!("the image of {} ({}) is missing: give its folder with --images", path.display(), file.image_path);
         };
         let (width, height) = size_of(&picture)?;
         let mut groups: Vec<(usize, Option<i64>, Mask)> = Vec::new();

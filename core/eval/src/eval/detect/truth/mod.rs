@@ -97,7 +97,7 @@ impl Truth {
 fn size_of(path: &Path) -> Result<(usize, usize)> {
     let (w, h) = image::image_dimensions(path).on_file(FileAction::Read, path)?;
     if u64::from(w) * u64::from(h) > MAX_PIXELS {
-        bail!("{}: {w}x{h} px are more than the {MAX_PIXELS} of the largest picture", path.display());
+        bail!("{}: {w}x{h} px exceed the limit of {MAX_PIXELS} px", path.display());
     }
     Ok((w as usize, h as usize))
 }
@@ -157,7 +157,7 @@ pub fn read(session: &dyn Session, path: &Path, split: Option<&str>, images: Opt
     let truth = read_any(session, path, split, images)?;
     if truth.pictures.iter().all(|picture| picture.objects.is_empty()) {
         bail!(
-            "{}: no object in {} pictures: nothing can be compared with it; are the labels in another folder?",
+            "{}: no labelled object in {} images; are the labels in another folder?",
             path.display(),
             truth.pictures.len()
         );
@@ -171,7 +171,7 @@ fn read_any(session: &dyn Session, path: &Path, split: Option<&str>, images: Opt
         return one_file(path, &[folder.to_owned(), folder.join("images")]);
     }
     if !path.is_dir() {
-        bail!("{} is not there: give a COCO or VIA file, or a folder of VOC, labelme or YOLO truth", path.display());
+        bail!("{} does not exist: give a COCO or VIA file, or a folder of VOC, labelme or YOLO files", path.display());
     }
     let annotations = path.join("Annotations");
     if annotations.is_dir() {

@@ -43,7 +43,7 @@ pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result
         let at = |what: &str| format!("{}: picture `{name}`{what}", path.display());
         let places = [folder.join(name), folder.join("images").join(name)];
         let Some(file) = places.into_iter().find(|place| place.is_file()) else {
-            bail!("{} is not in {}: name its folder with --images", at(""), folder.display());
+            bail!("{} is not in {}: give its folder with --images", at(""), folder.display());
         };
         let (width, height) = size_of(&file)?;
         let regions: Vec<&Value> = match entry.get("regions") {
@@ -67,7 +67,7 @@ pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result
             mask.add_polygon(&corners);
             match outlined(class, mask, false) {
                 Some(object) => objects.push(object),
-                None => bail!("{}: its outline holds no pixel of the {width}x{height} of the picture", here()),
+                None => bail!("{}: its outline has no pixel inside the image of {width}x{height} px", here()),
             }
         }
         truth.pictures.push(Picture { path: file, width, height, objects });
@@ -79,7 +79,7 @@ pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result
 fn class_of(region: &Value) -> Result<String> {
     let attributes = region.get("region_attributes").and_then(Value::as_object);
     let attributes =
-        attributes.filter(|all| !all.is_empty()).context("it has no `region_attributes`: name its class")?;
+        attributes.filter(|all| !all.is_empty()).context("it has no `region_attributes`: add its class")?;
     let known = || CLASS.iter().find_map(|name| attributes.iter().find(|(key, _)| key.eq_ignore_ascii_case(name)));
     let (key, value) = match attributes.iter().next() {
         Some(only) if attributes.len() == 1 => only,
@@ -97,13 +97,13 @@ fn class_of(region: &Value) -> Result<String> {
                 boxes.iter().filter(|(_, on)| on.as_bool() == Some(true)).map(|(name, _)| name.as_str()).collect();
             match ticked[..] {
                 [one] => one.to_owned(),
-                _ => bail!("of the boxes of `{key}` {} are ticked, one is needed", ticked.len()),
+                _ => bail!("{} boxes of `{key}` are ticked; tick exactly one", ticked.len()),
             }
         }
-        _ => bail!("`{key}` is no name of a class"),
+        _ => bail!("`{key}` is not the name of a class"),
     };
     if name.is_empty() || name == "undefined" {
-        bail!("`{key}` is empty: name its class");
+        bail!("`{key}` is empty: enter its class");
     }
     Ok(name)
 }
@@ -118,7 +118,7 @@ fn corners(region: &Value) -> Result<Option<Vec<[f64; 2]>>> {
     };
     let length = |name: &str| -> Result<f64> {
         let value = number(name)?;
-        if value > 0.0 { Ok(value) } else { bail!("`{name}` of its {kind} is {value}: it has to be above 0") }
+        if value > 0.0 { Ok(value) } else { bail!("`{name}` of its {kind} is {value}; it must be above 0") }
     };
     let round = |rx: f64, ry: f64, turn: f64| -> Result<Vec<[f64; 2]>> {
         let (cx, cy) = (number("cx")?, number("cy")?);

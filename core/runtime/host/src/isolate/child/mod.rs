@@ -174,7 +174,7 @@ fn start(load: LoadFn) -> std::io::Result<(Arc<Child>, OwnedFd)> {
         Ok((threads, memory_bytes, deny))
     };
     let (threads, memory_bytes, deny) =
-        hello().map_err(|_| std::io::Error::other("the programs are of different versions; install both again"))?;
+        hello().map_err(|_| std::io::Error::other("the programs have different versions; install both again"))?;
     let limit = |resource, most: u64| {
         let limit = libc::rlimit { rlim_cur: most, rlim_max: most };
         // SAFETY: only reads the struct. Where a limit cannot be set, the system's own holds.

@@ -187,7 +187,7 @@ impl Group for Isolated {
         };
         let known = lock(&IMAGES).get(&std::ptr::from_ref(entry).addr()).cloned();
         let Some((image, index)) = known else {
-            return refuse("its plugin was not loaded from a file, so that no other process can load it".to_owned());
+            return refuse("its plugin was not loaded from a file, so no other process can load it".to_owned());
         };
         let process = match self.process(&image) {
             Ok(process) => process,

@@ -49,7 +49,7 @@ pub struct Launch {
 #[derive(Debug, thiserror::Error)]
 pub enum LaunchError {
     /// The system does not name the file of the running program.
-    #[error("this program's own file is unknown")]
+    #[error("the path of this program is unknown")]
     OwnFile,
     /// The installation lacks a program.
     #[error("the program {} is missing, {purpose}", program.display())]
@@ -485,7 +485,7 @@ impl Process {
     /// Description of how the process ended.
     pub fn death(&self) -> String {
         if !self.life.wait(MAX_LEAVE) {
-            self.life.kill("it did not answer");
+            self.life.kill("it did not respond");
             self.life.wait(MAX_LEAVE);
         }
         let words = lock(&self.life.state).words.clone();

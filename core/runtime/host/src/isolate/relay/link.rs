@@ -70,7 +70,7 @@ impl Link {
         };
         let (message, _) = socket::receive(socket.as_fd())?;
         let settings = hello(&message)
-            .map_err(|_| io::Error::other("the programs are of different versions; install both again"))?;
+            .map_err(|_| io::Error::other("the programs have different versions; install both again"))?;
         Ok(Self { socket, settings })
     }
 

@@ -42,7 +42,7 @@ pub mod kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RelayError {
     /// The process has ended.
-    #[error("the process is gone")]
+    #[error("the process has ended")]
     Gone,
     /// The other side is of another build or broken.
     #[error("a message between the processes is malformed")]

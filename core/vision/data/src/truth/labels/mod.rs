@@ -10,7 +10,7 @@ pub use yolo::{YoloObject, YoloShape, yolo, yolo_names};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LabelError {
     /// The XML is nested too deeply.
-    #[error("its elements stand in each other more than {most} deep")]
+    #[error("its elements are nested more than {most} levels deep")]
     Deep {
         /// Maximum number of levels.
         most: usize,
