@@ -1,5 +1,5 @@
-//! Makes a program's allocation and exit functions the ones that plugins and their libraries call: allocations are counted, and nobody ends
-//! the program without a word.
+//! Makes a program's allocation and exit functions the ones that plugins and their libraries call, so that allocations
+//! are counted and no library can exit the program without a message.
 
 fn main() {
     // A change of this file counts by itself; it is the build script of two packages.

@@ -40,7 +40,7 @@ fn what_cannot_be_exported_is_refused_with_a_remedy() {
     std::fs::write(folder.join("other.mcap"), &bytes[..bytes.len() / 2]).expect("written");
     std::fs::write(folder.join("none.txt"), "text").expect("written");
     for (file, words, code, error) in [
-        ("run.mcap", &["--folder", "out"][..], 2, "out exists: name another one, or replace it with --force"),
+        ("run.mcap", &["--folder", "out"][..], 2, "out already exists: choose another one, or replace it with --force"),
         ("run.mcap", &["--foxglove", "run.mcap", "--force"], 2, "run.mcap is the recording itself"),
         ("run.mcap", &["--folder", "new", "--ports", "scope.lefft"], 2, "no packets of `scope.lefft`; it has scope."),
         ("run.mcap", &["--folder", "new", "--from", "7"], 2, "it has ticks 0 to 2"),

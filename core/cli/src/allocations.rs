@@ -1,8 +1,8 @@
 //! Counts heap allocations of the whole process.
 //!
-//! A Rust global allocator sees nothing of plugins and of C++ libraries, so the program defines C's allocation functions
-//! itself, over those of glibc; the dynamic linker then binds everybody's calls to them. What is allocated can be freed by
-//! glibc's own `free`, so that one is left alone. Elsewhere than on Linux with glibc nothing is counted.
+//! A Rust global allocator does not see plugins and C++ libraries, so the program defines C's allocation functions
+//! itself, over those of glibc; the dynamic linker then binds all calls to them. Memory can be freed by glibc's own
+//! `free`, which is not replaced. Nothing is counted except on Linux with glibc.
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod counted {
@@ -126,7 +126,7 @@ pub fn thread() -> Option<fn() -> u64> {
     None
 }
 
-/// Excludes the calling thread from the counter of the process from now on: it draws the progress bar.
+/// Excludes the calling thread from the counter of the process because it draws the progress bar.
 pub fn exclude_this_thread() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     counted::exclude_this_thread();

@@ -1,4 +1,5 @@
-//! Programs beside this one, which this one becomes for some commands: it needs neither a window system nor the crates that only they use.
+//! Programs next to this one, which replace it for some commands, so that it needs neither a window system nor the
+//! crates that only they use.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -14,14 +15,14 @@ use crate::terminal::log;
 pub const PROGRAM: &str = "panoscope";
 /// Names of the programs of the windows.
 pub const EDITOR: &str = "panoscope-editor";
-/// See [`EDITOR`].
+/// Name of the program of the surgeon's window.
 pub const THEATRE: &str = "panoscope-theatre";
 /// Name of the program with the commands that evaluate, convert and generate.
 pub const LAB: &str = "panoscope-lab";
 /// Id of the argument that [`Words`] has and no other command.
 pub const WORDS: &str = "words-of-the-lab";
 
-/// What follows the name of a command of the program [`LAB`], which parses it.
+/// Arguments of a command of the program [`LAB`], which parses them.
 #[derive(clap::Args)]
 #[command(disable_help_flag = true)]
 pub struct Words {
@@ -37,7 +38,7 @@ pub fn file(program: &str) -> std::io::Result<PathBuf> {
     std::env::current_exe().map(|this| this.with_file_name(program))
 }
 
-/// Becomes the program [`LAB`] with this one's command line. Returns only if that fails.
+/// Replaces this process by the program [`LAB`] with the same command line. Returns only on failure.
 pub(crate) fn lab() -> Result<End> {
     start(LAB, |command| {
         let mut words = std::env::args_os();
@@ -49,9 +50,9 @@ pub(crate) fn lab() -> Result<End> {
     })
 }
 
-/// Becomes another program with the arguments that `arrange` gives it. Returns only if that fails.
+/// Replaces this process by another program with the arguments that `arrange` adds. Returns only on failure.
 pub(crate) fn start(program: &str, arrange: impl FnOnce(&mut Command)) -> Result<End> {
-    let file = file(program).context("this program's own place is not known")?;
+    let file = file(program).context("the path of this program is unknown")?;
     if !file.is_file() {
         log!(
             "error: the program of this command is missing: {} does not exist\n  help: `cargo xtask build` builds it",

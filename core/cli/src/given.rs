@@ -1,13 +1,14 @@
-//! What a command line gives to a graph: overlays and values of arguments.
+//! Graph options of a command line: overlays and values of arguments.
 
 use std::path::PathBuf;
 
 use panoscope_graph::{GraphOptions, command_line};
 
-/// What a command line gives to a graph besides settings. Arguments that the graph declares are among them, see [`command_line`].
+/// Graph options of a command line, without settings. It includes the arguments that the graph declares, see
+/// [`command_line`].
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct Given {
-    /// Overlay file: replaces nodes of the same name and defaults of arguments. May be given again.
+    /// Overlay file: replaces nodes of the same name and defaults of arguments. Repeatable.
     #[arg(long, value_name = "OVERLAY")]
     with: Vec<PathBuf>,
     #[arg(long = "graph-arg", value_name = "NAME=VALUE", hide = true)]
@@ -15,7 +16,7 @@ pub struct Given {
 }
 
 impl Given {
-    /// As options to open the graph, with `node.param=value` settings.
+    /// Options to open the graph, with `node.param=value` settings.
     pub fn options(&self, settings: &[String]) -> GraphOptions {
         command_line::options(&self.with, &self.graph_args, settings)
     }

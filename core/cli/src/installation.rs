@@ -1,4 +1,4 @@
-//! How this Panoscope was installed, for advice that fits.
+//! How this Panoscope was installed, for matching advice.
 
 use std::path::{Path, PathBuf};
 
@@ -7,12 +7,12 @@ use panoscope_graph::installed::MARKER;
 /// Folder with the data folder of an installation, from the folder of its programs (`lib/panoscope`).
 const DATA_FROM_PROGRAM: &str = "../../share/panoscope";
 
-/// What came with the running program.
+/// Installation of the running program.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Installation {
-    /// How it came here.
+    /// Kind of installation.
     pub kind: Kind,
-    /// The program's folder: beside it are the plugins, ONNX Runtime and the windows.
+    /// The program's folder: next to it are the plugins, ONNX Runtime and the windows.
     pub program_dir: PathBuf,
     /// The graphs; `None` for a build, whose graphs are in the source tree.
     pub graph_dir: Option<PathBuf>,
@@ -32,13 +32,13 @@ pub enum Kind {
 }
 
 impl Installation {
-    /// That of the running program.
+    /// The installation of the running program.
     pub fn current() -> Self {
         let program = std::env::current_exe().unwrap_or_default();
         Self::of(program.parent().unwrap_or(Path::new("")))
     }
 
-    /// That of a program in `program_dir`.
+    /// The installation of a program in `program_dir`.
     fn of(program_dir: &Path) -> Self {
         let data = program_dir.join(DATA_FROM_PROGRAM);
         let marker = std::fs::read_to_string(data.join(MARKER)).ok();
@@ -56,7 +56,7 @@ impl Installation {
         Self { kind, program_dir: program_dir.to_owned(), graph_dir }
     }
 
-    /// What it is and where its programs are.
+    /// Description with the kind and the folder of the programs.
     pub fn description(&self) -> String {
         let kind = match self.kind {
             Kind::Package => "Debian package",

@@ -1,15 +1,17 @@
-//! What a run came to: its exit code, its errors and warnings, and its last line.
+//! Evaluates a run: its exit code, its errors and warnings, and its last line.
 //!
-//! The rule: a run is done (exit 0) when every node did its work on every tick that it was given, and every source made what was asked for.
-//! It failed (exit 1) when
-//! - a node had faults and the graph does not say `on_fault = "bypass"` for it: each fault is a tick lost, also where the node was opened again,
+//! The rule: a run is done (exit 0) when every node did its work on every tick that it was given, and every source made
+//! the requested ticks. It failed (exit 1) when
+//! - a node had faults and the graph does not say `on_fault = "bypass"` for it: each fault is a lost tick, even if the
+//!   node was reopened,
 //! - a node stopped working, lost what it was to write, or was left behind because it did not return,
 //! - a source ended by an error, made no tick, or fewer ticks than `--frames` asks for,
 //! - a node never ran because a source never made what it needs, or because its inputs never met,
 //! - the engine says so (`on_fault = "stop"`), or the recording of the run has gaps.
 //!
-//! A run that its user stops is done, unless one of these holds. Ticks dropped in live mode are what live mode is for: they are counted, no more.
-//! A node that never ran because another node (a gate, a detector) made nothing is a warning.
+//! A run that its user stops is done, unless one of these holds. Ticks dropped in live mode are what live mode is for:
+//! they are counted, no more. A node that never ran because another node (a gate, a detector) made nothing is a
+//! warning.
 
 use std::collections::BTreeSet;
 
@@ -18,41 +20,42 @@ use panoscope_engine::{NodeReport, Outcome, Report};
 
 use crate::End;
 
-/// What is known of a run after its end.
+/// Facts of a finished run.
 pub struct Facts<'a> {
     /// Counters of all nodes.
     pub report: &'a Report,
     /// The newest faults, oldest first.
     pub faults: &'a [Fault],
-    /// How the engine says it ended.
+    /// Outcome reported by the engine.
     pub outcome: &'a Outcome,
-    /// Nodes whose faults do not fail the run: those with `on_fault = "bypass"`, and those whose faults the command causes.
+    /// Nodes whose faults do not fail the run: those with `on_fault = "bypass"`, and those whose faults the command
+    /// causes.
     pub bypassed: BTreeSet<&'a str>,
-    /// Ticks of each source that were asked for.
+    /// Requested ticks of each source.
     pub frames: Option<u64>,
-    /// The signal that ended the run, in words.
+    /// Name of the signal that ended the run.
     pub stopped_by: Option<String>,
 }
 
-/// How much a finding weighs.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weight {
     /// The run failed because of it.
     Error,
-    /// Told, no more.
+    /// Only reported.
     Warning,
 }
 
-/// Something that a run came to.
+/// A finding about a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// How much it weighs.
+    /// Severity.
     pub weight: Weight,
-    /// For people.
+    /// Message for the user.
     pub words: String,
 }
 
-/// What a run came to.
+/// Verdict on a run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Verdict {
     /// Errors first.
@@ -80,12 +83,12 @@ impl Verdict {
         self.add(Weight::Error, words);
     }
 
-    /// How the command ends.
+    /// Exit of the command.
     pub fn end(&self) -> End {
         if self.findings.iter().any(|f| f.weight == Weight::Error) { End::Failed } else { End::Done }
     }
 
-    /// The line that stands last: how it ended, with counts, and the first error.
+    /// The last line: how the run ended, with counts, and the first error.
     pub fn last_line(&self) -> String {
         let how = match (self.end(), &self.stopped_by) {
             (End::Done, None) => "done".to_owned(),
@@ -114,14 +117,14 @@ impl Verdict {
     }
 }
 
-/// What was said of a node's newest fault.
+/// Message of a node's newest fault.
 fn last_words<'a>(faults: &'a [Fault], node: &str) -> &'a str {
     let notes = [Cause::Slow, Cause::Silent, Cause::Incomplete, Cause::TooOld];
     let of_node = |f: &&Fault| f.node == node && !notes.contains(&f.cause);
     faults.iter().rev().find(of_node).map_or("see the lines above", |f| f.words.as_str())
 }
 
-/// Judges a run.
+/// Evaluates a run.
 pub fn judge(facts: &Facts<'_>) -> Verdict {
     let report = facts.report;
     let sources = || report.nodes.iter().filter_map(|(id, node)| Some((id, node.made?)));
@@ -192,7 +195,7 @@ fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdi
     }
 }
 
-/// Sources are judged by what they made; failures and bypasses are reported elsewhere.
+/// Whether a node never ran. Sources are evaluated by their ticks; failures and bypasses are reported elsewhere.
 fn never_ran(node: &NodeReport) -> bool {
     node.count == 0 && node.made.is_none() && node.faults == 0 && !node.muted
 }
@@ -205,7 +208,7 @@ fn idle(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
     let from_idle = node.never_got.iter().any(|o| maker(o).is_none_or(|m| m.made.is_none() && m.count == 0));
     if !from_source.is_empty() {
         let outputs = from_source.iter().map(|o| format!("`{o}`")).collect::<Vec<_>>().join(", ");
-        verdict.error(format!("node `{id}` never ran: {outputs} never gave a picture or packet"));
+        verdict.error(format!("node `{id}` never ran: {outputs} returned no packet"));
         return;
     }
     if from_idle {

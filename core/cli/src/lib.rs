@@ -1,6 +1,6 @@
-//! The `panoscope` command, and what its second program `panoscope-lab` shares with it. Exit codes: 0 done, 1 the run failed (`judge` has the
-//! rule), 2 the arguments or the graph are wrong; 128 and the signal's number where a signal ended the command before there was a run, or at once;
-//! the signal itself where a plugin crashed.
+//! The `panoscope` command, and what its second program `panoscope-lab` shares with it. Exit codes: 0 done, 1 the run
+//! failed (see `judge`), 2 the arguments or the graph are wrong; 128 plus the signal's number if a signal ended the
+//! command before a run or immediately; the signal itself if a plugin crashed.
 
 pub mod allocations;
 pub mod beside;
@@ -28,7 +28,7 @@ use panoscope_host::loader::isolated;
 
 use beside::Words;
 
-/// Runs graphs of image-processing nodes on the live picture of two-camera endoscopes.
+/// Runs graphs of image-processing nodes on live video of two-camera endoscopes.
 #[derive(Parser)]
 #[command(name = "panoscope", version, disable_help_subcommand = true)]
 struct Arguments {
@@ -40,35 +40,37 @@ struct Arguments {
 enum Command {
     /// Runs a graph.
     Run(commands::run::Arguments),
-    /// Opens a window over a graph while it runs: pictures, times, faults, sliders, wires.
+    /// Opens a window over a graph while it runs: images, times, faults, sliders, connections.
     Edit(commands::edit::Arguments),
-    /// Opens the surgeon's window: pictures full screen, and only the settings that the preset offers.
+    /// Opens the surgeon's window: full-screen images, and only the settings that the preset offers.
     Theatre(commands::edit::Arguments),
-    /// Writes fingerprints of a graph and of all that its run depends on, signed where wanted, for the theatre to compare.
+    /// Writes fingerprints of a graph and of all files that its run depends on, optionally signed, which the theatre
+    /// compares.
     Lock(commands::lock::Arguments),
-    /// Shows the audit log of the theatre, and whether it is whole.
+    /// Shows the audit log of the theatre, and checks that it is intact.
     Audit(commands::audit::Arguments),
     /// Stills, clips and measurements as DICOM: worklist, objects, storage at a PACS.
     Dicom(Words),
-    /// Runs a graph and writes the run down, so that it can be repeated to the byte.
+    /// Runs a graph and records the run so that it can be repeated to the byte.
     Record(commands::record::Arguments),
-    /// Plays a recording again, or runs another graph on its pictures.
+    /// Replays a recording, or runs another graph on its frames.
     Replay(commands::replay::Arguments),
-    /// Says where two recorded runs differ first, and by how much.
+    /// Shows the first difference of two recorded runs, and its amount.
     Compare(commands::compare::Arguments),
-    /// Writes what a recording holds as files of other programs: a folder of pictures and tables, Foxglove, rerun.
+    /// Exports a recording to files of other programs: a folder of images and tables, Foxglove, rerun.
     Export(Words),
-    /// Lists the sequences of public data sets in a folder, with their calibration, truth and labels.
+    /// Lists the sequences of public data sets in a folder, with their calibration, ground truth and labels.
     Import(Words),
-    /// Runs a graph once for each value of parameters and shows what becomes of measures.
+    /// Runs a graph once for each value of parameters and shows the measures.
     Sweep(Words),
     /// Compares runs of sweeps on one HTML page.
     Report(Words),
-    /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; responses of P, PI and PID.
+    /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; compares the responses of P,
+    /// PI and PID.
     Tune(Words),
-    /// Runs a graph for minutes and says whether its memory grows.
+    /// Runs a graph for minutes and checks whether its memory grows.
     Soak(Words),
-    /// Checks graph files and shows every mistake.
+    /// Checks graph files and shows all mistakes.
     Check(commands::check::Arguments),
     /// Lists plugins and their node types.
     List(commands::list::Arguments),
@@ -78,17 +80,17 @@ enum Command {
     Dot(commands::dot::Arguments),
     /// Writes a JSON Schema of graph files, for editors; or the node types for Python.
     Schema(commands::schema::Arguments),
-    /// Writes the beginnings of a plugin.
+    /// Writes the skeleton of a plugin.
     New(commands::new::Arguments),
-    /// Measures the runtime itself, beside its peers where they are installed.
+    /// Measures the runtime itself, compared with its peers where installed.
     Bench(Words),
-    /// Judges results beside truth and peers.
+    /// Evaluates results against ground truth and peers.
     Eval(Words),
     /// Calibrates two cameras from views of a printed board.
     Calibrate(Words),
     /// Runs nodes of graphs of other machines, those with `on` and this machine's name.
     Serve(commands::serve::Arguments),
-    /// Makes certificates by which machines know each other.
+    /// Makes certificates with which machines authenticate each other.
     Keys(commands::keys::Arguments),
     /// Lists cameras.
     Devices(commands::devices::Arguments),
@@ -99,23 +101,24 @@ enum Command {
     Generate(Words),
 }
 
-/// How a command ended.
+/// Result of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// Done.
     Done,
-    /// The run failed; what was wrong has been said.
+    /// The run failed; the reason has been reported.
     Failed,
-    /// The arguments or the graph are wrong; what was wrong has been said.
+    /// The arguments or the graph are wrong; the reason has been reported.
     Wrong,
 }
 
-/// The command line of `panoscope`. Of the commands of [`beside::LAB`] it has names and descriptions, and leaves the arguments to that program.
+/// The command line of `panoscope`. For commands of [`beside::LAB`] it has names and descriptions only; that program
+/// parses their arguments.
 pub fn command() -> clap::Command {
     Arguments::command()
 }
 
-/// Long options of the command that the words name, those of the command itself where it has commands of its own.
+/// Long options of the named command; if it has subcommands, those of the command itself.
 pub fn own_options(program: &clap::Command, words: &[OsString]) -> Vec<String> {
     let mut command = program;
     for word in words.iter().skip(1) {
@@ -127,14 +130,14 @@ pub fn own_options(program: &clap::Command, words: &[OsString]) -> Vec<String> {
     command.get_arguments().filter_map(clap::Arg::get_long).map(str::to_owned).collect()
 }
 
-/// Whether the words name a command of the program [`beside::LAB`].
+/// Whether the arguments name a command of the program [`beside::LAB`].
 fn is_of_the_lab(program: &clap::Command, words: &[OsString]) -> bool {
     let command = words.get(1).and_then(|word| program.find_subcommand(word));
     command.is_some_and(|command| command.get_arguments().any(|argument| argument.get_id() == beside::WORDS))
 }
 
-/// Parses the command line of this process. Options that the graph declares are known to it, and its help shows them. Leaves the process where the
-/// command line is wrong or asks for help.
+/// Parses the command line of this process. Options that the graph declares are included, also in its help. Exits if
+/// the command line is wrong or requests help.
 pub fn parse<T: FromArgMatches>(mut command: clap::Command) -> T {
     let words: Vec<OsString> = std::env::args_os().collect();
     let CommandLine { words, help, problem } = match is_of_the_lab(&command, &words) {
@@ -163,7 +166,7 @@ pub fn parse<T: FromArgMatches>(mut command: clap::Command) -> T {
     })
 }
 
-/// Prepares the process: its heap and its signals. Does not return where the process is one for isolated nodes.
+/// Prepares the process: its heap and its signals. Does not return in a process for isolated nodes.
 pub fn prepare() {
     heap::keep_large_blocks_apart();
     if std::env::args_os().nth(1).is_some_and(|word| word == panoscope_host::isolate::COMMAND) {
@@ -174,7 +177,7 @@ pub fn prepare() {
     }
 }
 
-/// Leaves the process as a command ended.
+/// Exits the process with a command's result.
 pub fn leave(end: anyhow::Result<End>) -> ! {
     terminal::leave(match end {
         Ok(End::Done) => 0,

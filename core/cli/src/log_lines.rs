@@ -1,4 +1,4 @@
-//! Lines that nodes say while a graph runs, without drowning the terminal.
+//! Log lines of nodes while a graph runs, without flooding the terminal.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -7,19 +7,19 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use panoscope_engine::log::{Level, LogFn};
 use serde::Serialize;
 
-/// How lines are written.
+/// Format of lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogFormat {
-    /// For people.
+    /// Text for the terminal.
     Text,
     /// One JSON object per line.
     Json,
 }
 
-/// The same words of the same node are shown once in this time.
+/// Minimum time between equal messages of the same node.
 const QUIET: Duration = Duration::from_secs(1);
 
-/// Different words that are remembered.
+/// Maximum number of messages that are remembered.
 const MAX_REMEMBERED: usize = 1000;
 
 struct Seen {
@@ -35,7 +35,7 @@ struct JsonLine<'l> {
     level: &'static str,
     node: &'l str,
     message: &'l str,
-    /// How often the same words came since they were written last.
+    /// Repetitions of the message since it was last written.
     #[serde(skip_serializing_if = "is_zero")]
     repeated: u64,
 }
@@ -60,7 +60,8 @@ fn json(level: Level, node: &str, message: &str, repeated: u64) -> String {
     serde_json::to_string(&JsonLine { unix_ms, level: word(level), node, message, repeated }).unwrap_or_default()
 }
 
-/// A line of the command itself as JSON: `error: ` or `warning: ` at its beginning is its level, all others are information.
+/// A line of the command itself as JSON: the prefix `error: ` or `warning: ` sets its level; all others are
+/// information.
 pub fn json_of_message(text: &str) -> String {
     let levels = [("error", Level::Error), ("warning", Level::Warn), ("note", Level::Info)];
     let split = levels.iter().find_map(|(word, level)| Some((*level, text.strip_prefix(word)?)));
@@ -72,7 +73,7 @@ pub fn json_of_message(text: &str) -> String {
     }
 }
 
-/// Formats a line for people.
+/// Formats a line for the terminal.
 fn render(color: bool, level: Level, node: &str, words: &str, left_out: u64) -> String {
     let word = word(level);
     let style = match level {
@@ -89,7 +90,7 @@ fn render(color: bool, level: Level, node: &str, words: &str, left_out: u64) -> 
     }
 }
 
-/// A log that hands lines to `show`; debug lines only with `verbose`.
+/// A log that passes lines to `show`; debug lines only with `verbose`.
 pub fn sink(verbose: bool, format: LogFormat, color: bool, show: impl Fn(&str) + Send + Sync + 'static) -> Box<LogFn> {
     let seen: Mutex<HashMap<String, Seen>> = Mutex::new(HashMap::new());
     Box::new(move |level, node, words| {

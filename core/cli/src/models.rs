@@ -1,4 +1,4 @@
-//! `panoscope check` opens models, each in a process of its own, see [`panoscope_host::loader::trial`].
+//! `panoscope check` opens models, each in a separate process, see [`panoscope_host::loader::trial`].
 
 use std::path::Path;
 

@@ -2,15 +2,15 @@
 
 use std::ops::RangeInclusive;
 
-/// Why a text is not the required number.
+/// A text that is not the required number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NumberError {
     /// It is not a number.
     #[error("{text} is not a {what}")]
     NoNumber {
-        /// What was given.
+        /// The given value.
         text: String,
-        /// What is required.
+        /// The requirement.
         what: &'static str,
     },
     /// It is outside the range.

@@ -1,4 +1,4 @@
-//! How a run goes: a bar on a terminal, plain lines elsewhere.
+//! Progress of a run: a bar on a terminal, plain lines elsewhere.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ use panoscope_engine::Report;
 use crate::terminal::{finished_error_line, log};
 
 const PLAIN_EVERY: Duration = Duration::from_secs(2);
-/// A source without frames for a shorter time is slow, not lost.
+/// Minimum time without frames of a lost source; a shorter time counts as slow.
 const MIN_STALL: Duration = Duration::from_secs(2);
 
 /// Shows progress.
@@ -24,7 +24,7 @@ struct Plain {
     last: Instant,
 }
 
-/// Frames per second of late, not since the start.
+/// Recent frames per second, not since the start.
 struct Rate {
     at: Instant,
     frames: u64,
@@ -48,14 +48,14 @@ impl Rate {
         self.fps
     }
 
-    /// How long no frame has come, where the rate is 0.
+    /// Time without a frame, if the rate is 0.
     fn stalled(&self, now: Instant) -> Option<Duration> {
         (self.fps == 0.0).then(|| now.duration_since(self.newest)).filter(|stalled| *stalled >= MIN_STALL)
     }
 }
 
 impl Progress {
-    /// Progress of a run of `wanted` frames (unknown: `None`); a bar if `bar` is wanted and standard error is a terminal.
+    /// Progress of a run of `wanted` frames (unknown: `None`); a bar if `bar` is set and standard error is a terminal.
     pub fn new(name: &str, wanted: Option<u64>, bar: bool) -> Self {
         let bar = (bar && std::io::stderr().is_terminal()).then(|| {
             let (bar, template) = match wanted {
@@ -73,7 +73,7 @@ impl Progress {
         Self { bar, plain: Plain { last: now }, rate: Rate { at: now, frames: 0, fps: 0.0, newest: now }, wanted }
     }
 
-    /// What shows a line without tearing the bar; may be called from any thread.
+    /// A function that prints a line without disturbing the bar; may be called from any thread.
     pub fn line_writer(&self) -> impl Fn(&str) + Send + Sync + 'static + use<> {
         let bar = self.bar.clone();
         move |line| match &bar {
@@ -82,7 +82,7 @@ impl Progress {
         }
     }
 
-    /// Shows where the run stands.
+    /// Shows the progress.
     pub fn update(&mut self, report: &Report) {
         let now = Instant::now();
         let fps = self.rate.update(report.frames, now);

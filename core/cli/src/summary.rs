@@ -9,7 +9,7 @@ fn cells<const N: usize>(row: [&str; N]) -> Vec<String> {
     row.iter().map(|cell| (*cell).to_owned()).collect()
 }
 
-/// The run in one screen: nodes in the order ticks pass them, then the ages at the sinks.
+/// The run in one screen: nodes in the order of the ticks, then the ages at the sinks.
 pub fn text(graph: &Graph, report: &Report) -> String {
     let mut out = format!(
         "{}: {} frames in {:.2} s, {:.1} fps ({} threads, {} cores)\n",

@@ -1,4 +1,4 @@
-//! Writing for people: colour only on a terminal, and a closed pipe is no reason to fail.
+//! Terminal output: colour only on a terminal, and a closed pipe is not an error.
 
 use std::fmt::Arguments;
 use std::io::{IsTerminal, Write};
@@ -30,7 +30,7 @@ pub fn line(text: Arguments<'_>) {
 /// Whether lines on standard error are JSON objects.
 static JSON_LINES: AtomicBool = AtomicBool::new(false);
 
-/// From here on each line on standard error is a JSON object, also those of signals and crashes, and there is no colour.
+/// Makes each further line on standard error a JSON object, also those of signals and crashes, and there is no colour.
 pub fn write_json_lines() {
     JSON_LINES.store(true, Ordering::Relaxed);
     panoscope_engine::ending::write_json_lines();
@@ -46,12 +46,12 @@ pub fn error_line(text: Arguments<'_>) {
     }
 }
 
-/// Writes a line of a log to standard error as it is.
+/// Writes a line of a log to standard error unchanged.
 pub fn finished_error_line(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
-/// Writes text as it is to standard output.
+/// Writes text unchanged to standard output.
 pub fn raw(text: &str) {
     let _ = std::io::stdout().lock().write_all(text.as_bytes());
 }
@@ -70,7 +70,7 @@ pub fn stderr_color() -> bool {
     std::io::stderr().is_terminal() && color_wanted() && !JSON_LINES.load(Ordering::Relaxed)
 }
 
-/// Leaves the process at once: destructors of C++ libraries that plugins loaded are not to be trusted.
+/// Leaves the process at once: destructors of C++ libraries loaded by plugins may crash.
 pub fn leave(code: i32) -> ! {
     let _ = std::io::stdout().flush();
     let _ = std::io::stderr().flush();

@@ -1,4 +1,4 @@
-//! Whom a command believes: keys that sign locks, and folders with plugins.
+//! Trust settings of a command: keys that sign locks, and folders with plugins.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use panoscope_host::loader::{self as loader, Loader};
 /// Keys that a command line adds to those of the installation.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct Keys {
-    /// Accepts locks signed by this public key, besides those in the folders of trusted keys. May be given again.
+    /// Accepts locks signed by this public key, in addition to those in the folders of trusted keys; repeatable.
     #[arg(long, value_name = "FILE")]
     trust: Vec<PathBuf>,
 }
@@ -27,11 +27,11 @@ impl Keys {
     }
 }
 
-/// Whether a command that only looks at a graph may run code that the graph brings.
+/// Whether a command that only reads a graph may run code that the graph brings.
 #[derive(clap::Args, Clone, Copy, Debug, Default)]
 pub struct OwnPlugins {
-    /// Loads plugins from the folders that the graph itself names, which runs their code. Without it only plugins of the installation and of
-    /// PANOSCOPE_PLUGIN_PATH are loaded.
+    /// Loads plugins from the folders that the graph itself names, which runs their code. By default only plugins of
+    /// the installation and of PANOSCOPE_PLUGIN_PATH are loaded.
     #[arg(long)]
     trust_plugins: bool,
     #[command(flatten)]
@@ -41,8 +41,8 @@ pub struct OwnPlugins {
 /// Whether plugins that a graph brings may run in its process.
 #[derive(clap::Args, Clone, Copy, Debug, Default)]
 pub struct IsolatedPlugins {
-    /// Loads plugins from the folders that the graph itself names only in processes of their own, which open no sockets and write no files: none of
-    /// their code runs in this one.
+    /// Loads plugins from the folders that the graph itself names only in separate processes, which cannot open sockets
+    /// or write files: none of their code runs in this one.
     #[arg(long)]
     isolate_plugins: bool,
 }
@@ -59,7 +59,7 @@ impl IsolatedPlugins {
         if self.isolate_plugins { loader.isolating(own) } else { loader }
     }
 
-    /// Checks a graph that was read, with the plugins of [`Self::loader`], and isolates those that it brings, if that is wanted.
+    /// Checks a graph that was read, with the plugins of [`Self::loader`], and isolates its own plugins, if requested.
     pub fn ready(self, text: &GraphText, loader: Loader) -> Result<Ready, Diagnostics> {
         let own = if self.isolate_plugins { loader.brought_by(&text.plugin_paths()) } else { Vec::new() };
         let mut ready = graph_file::ready_with(text, loader)?;

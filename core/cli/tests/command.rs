@@ -335,7 +335,7 @@ fn a_locked_graph_tells_what_has_changed() {
     let path = file("locked.toml", &text);
     let _ = std::fs::remove_file(format!("{path}.lock"));
     let (code, _, told) = run(&["lock", &path, "--verify"]);
-    assert!(code == 2 && told.contains("was never locked"), "{told}");
+    assert!(code == 2 && told.contains("is not locked"), "{told}");
     let (code, said, told) = run(&["lock", &path]);
     assert!(code == 0 && said.contains("files locked") && said.contains("flow"), "{said}{told}");
     assert_eq!(run(&["lock", &path, "--verify"]).0, 0);

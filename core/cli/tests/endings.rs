@@ -110,7 +110,7 @@ impl Running {
         Self { child: command.spawn().expect("the program starts"), out, err }
     }
 
-    /// What it said on standard error so far.
+    /// Its standard error so far.
     fn said(&self) -> String {
         std::fs::read_to_string(&self.err).expect("its words")
     }

@@ -113,7 +113,7 @@ fn a_graph_takes_its_arguments_as_options() {
     let (code, _, err) = run(&folder, "run g.toml --headless --width 1000");
     assert_eq!(code, 2);
     assert!(
-        err.contains("argument `width` is 1000 px, allowed are 16 to 640 px") && err.contains("command line:1:9"),
+        err.contains("argument `width` is 1000 px; it must be 16 to 640 px") && err.contains("command line:1:9"),
         "{err}"
     );
     let (code, _, err) = run(&folder, "run g.toml --wdth 64");
@@ -145,7 +145,7 @@ fn help_and_check_name_the_arguments() {
     let (code, out, err) = run(&folder, "dot g.toml --width 64 --with sources/other.toml");
     assert!(code == 0 && out.contains("subgraph \"cluster_chain\""), "{out}{err}");
     let (code, _, err) = run(&folder, "dot g.toml --width 7");
-    assert!(code == 2 && err.contains("allowed are 16 to 640"), "{err}");
+    assert!(code == 2 && err.contains("it must be 16 to 640"), "{err}");
 }
 
 #[test]
@@ -307,7 +307,7 @@ fn an_overlay_replaces_the_source() {
     assert_eq!(code, 0, "{out}{err}");
     let (code, _, err) = run(&folder, "run g.toml --with sources/othr.toml");
     assert_eq!(code, 2);
-    assert!(err.contains("there is no such overlay") && err.contains("other.toml"), "{err}");
+    assert!(err.contains("the overlay does not exist") && err.contains("other.toml"), "{err}");
     // The overlay gives `width` a default.
     let (code, out, _) = run(&folder, "check g.toml --with sources/other.toml");
     assert!(code == 0 && out.contains("connections)"), "{out}");

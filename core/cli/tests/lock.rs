@@ -1,4 +1,5 @@
-//! Locks: nothing of a graph is used before it was compared, what was compared is what is used, and signatures are believed only from trusted keys.
+//! Locks: nothing of a graph is used before it was compared, what was compared is what is used, and signatures are
+//! believed only from trusted keys.
 
 use crate::common;
 use std::os::unix::fs::PermissionsExt;
@@ -208,7 +209,8 @@ type = "drain"
 inputs = { image = "reader.image" }
 "#;
 
-/// Runs the graph until its node has read the file, replaces the file, and waits until the node has read it again; returns what it read.
+/// Runs the graph until its node has read the file, replaces the file, and waits until the node has read it again;
+/// returns what it read.
 fn read_across_a_swap(bench: &Bench, words: &str) -> Vec<String> {
     let read = || -> Vec<String> {
         let text = std::fs::read_to_string(bench.path("read.txt")).unwrap_or_default();
@@ -271,7 +273,7 @@ fn a_signature_is_believed_only_from_a_trusted_key() {
         let (code, said) = bench.run(words);
         assert!(code != 0 && said.contains(part), "{words}: {code}: {said}");
     };
-    refused(run, "was never locked");
+    refused(run, "is not locked");
     // Unsigned: accepted as long as no key is trusted.
     assert_eq!(bench.run("lock g.toml").0, 0);
     let (code, said) = bench.run(run);

@@ -6,7 +6,8 @@ use std::time::Instant;
 
 use crate::common::plugins;
 
-/// Checks a graph whose detector reads `model`; exit code, what was said, seconds. The first word tells where ONNX Runtime is missing.
+/// Checks a graph whose detector reads `model`; exit code, what was said, seconds. The first word tells where ONNX
+/// Runtime is missing.
 fn check(folder: &Path, plugins: &Path, model: &[u8]) -> (i32, String, f64) {
     std::fs::write(folder.join("m.onnx"), model).expect("a file");
     let graph = folder.join("graph.toml");

@@ -61,5 +61,5 @@ fn a_closed_loop_is_judged_beside_an_open_chain() {
 #[test]
 fn a_camera_that_stands_still_is_refused() {
     let (code, said) = run(&["eval", "mosaic", "--speed-mm-s", "0"]);
-    assert!(code == 2 && said.contains("--speed-mm-s is 0; give 1 to 25"), "{code}: {said}");
+    assert!(code == 2 && said.contains("--speed-mm-s is 0; it must be 1 to 25"), "{code}: {said}");
 }

@@ -24,7 +24,8 @@ fn file(folder: &Path, name: &str, text: &str) -> String {
     path.display().to_string()
 }
 
-/// A track of `tip_track`: from 1 s on 20 mm/s along x for 4 s, then rest for 2 s, then lost; the second line of each second is only predicted.
+/// A track of `tip_track`: from 1 s on 20 mm/s along x for 4 s, then rest for 2 s, then lost; the second line of each
+/// second is only predicted.
 fn left_hand() -> String {
     let mut text =
         String::from("seq,source,capture_ms,text,x_mm,y_mm,z_mm,room_x_mm,room_y_mm,room_z_mm,gap_ms,track_id\n");
@@ -113,7 +114,7 @@ fn files_that_are_no_tracks_are_named_with_what_to_give() {
     let folder = folder("wrong");
     let head = "seq,source,capture_ms,x_mm,y_mm,z_mm\n";
     let cases = [
-        ("none.csv", "seq,source,capture_ms,distance_mm\n1,0,0,4\n".to_owned(), "no columns of places"),
+        ("none.csv", "seq,source,capture_ms,distance_mm\n1,0,0,4\n".to_owned(), "no columns of positions"),
         ("time.csv", "x_mm,y_mm,z_mm\n1,2,3\n".to_owned(), "no column `capture_ms`"),
         ("back.csv", format!("{head}0,0,100,1,2,3\n1,0,50,1,2,3\n"), "line 3: time goes back"),
         ("cells.csv", format!("{head}0,0,100,1,2,3\n1,0\n2,0,200,1,2,3\n"), "line 3 has not as many cells"),

@@ -106,7 +106,7 @@ fn wrong_sweeps_are_refused_in_words() {
         (&[], 2, "required"),
         (&["--speeds", "1", none], 2, none),
         (&[&grid, &grid], 1, "--speeds or --cases"),
-        (&["--speeds", "1", "--set", "nobody.x=1"], 1, "none of the graphs has such a node `nobody`"),
+        (&["--speeds", "1", "--set", "nobody.x=1"], 1, "none of the graphs has a node `nobody`"),
     ] {
         let (got, out, err) = run(None, &[&["eval", "stitch"], arguments].concat());
         assert_eq!(got, code, "{arguments:?}: {out}{err}");

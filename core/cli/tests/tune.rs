@@ -1,4 +1,5 @@
-//! `panoscope tune`: gains, fragment, plot and JSON; a graph's own parameters; what it says of graphs that cannot be tuned.
+//! `panoscope tune`: gains, fragment, plot and JSON; a graph's own parameters; what it says of graphs that cannot be
+//! tuned.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -121,7 +122,7 @@ fn graphs_without_a_controller_and_wrong_numbers_are_refused() {
     std::fs::write(&graph, GRAPH).expect("a file");
     let path = graph.display().to_string();
     let (code, _, err) = run(&[&path, "--node", "steer"]);
-    assert!(code == 2 && err.contains("`steer` is no `arm_pid`; there is `pid`"), "{code} {err}");
+    assert!(code == 2 && err.contains("`steer` is not an `arm_pid`; the graph has `pid`"), "{code} {err}");
     std::fs::write(&graph, "plugins = [\"phantom\"]\n[nodes.scope]\ntype = \"phantom\"\n").expect("a file");
     let (code, _, err) = run(&[&path]);
     assert!(code == 2 && err.contains("no node of type `arm_pid`"), "{code} {err}");

@@ -206,7 +206,8 @@ fn a_browser_shows_pictures_with_an_age() {
     assert!(page.contains("<span id=\"state\" class=\"\">running</span>"), "{page}");
 }
 
-/// What a page shows of its pictures: words beside it, whether it is dimmed, its opacity, its width in px, its age in words.
+/// What a page shows of its pictures: words beside it, whether it is dimmed, its opacity, its width in px, its age in
+/// words.
 const FIGURES: &str = "[...document.querySelectorAll('figure')].map(f => ({
     label: f.querySelector('img').alt, old: f.classList.contains('old'), opacity: getComputedStyle(f.querySelector('img')).opacity,
     width: f.querySelector('img').naturalWidth, age: f.querySelector('.age').textContent }))";
@@ -286,7 +287,7 @@ fn an_address_that_is_taken_or_none_is_an_error_before_the_graph_starts() {
     let folder = Folder::new("web-second", &[("graph.toml", GRAPH)]);
     for (address, code, words) in [
         (watched.address.as_str(), 1, "another program may use the port"),
-        ("nowhere", 2, "is no address to listen on"),
+        ("nowhere", 2, "is not an address to listen on"),
     ] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
         let output =

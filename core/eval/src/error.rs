@@ -1,4 +1,4 @@
-//! What can go wrong while something is measured.
+//! Errors of evaluations and benches.
 
 use std::error::Error;
 use std::fmt::{self, Write as _};
@@ -12,7 +12,7 @@ pub type Cause = Box<dyn Error + Send + Sync>;
 /// Result of evaluation code.
 pub type Result<T, E = EvalError> = std::result::Result<T, E>;
 
-/// What was tried with a file, a folder or a program.
+/// Action on a file, a folder or a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileAction {
     /// Reading a file.
@@ -36,7 +36,7 @@ impl fmt::Display for FileAction {
     }
 }
 
-/// Why an evaluation or a bench came to no result.
+/// An evaluation or a bench without a result.
 ///
 /// `Display` gives one line without the cause; [`chain`] appends the causes.
 #[derive(Debug, thiserror::Error)]
@@ -45,10 +45,10 @@ pub enum EvalError {
     /// [`Session::is_cancelled`](crate::Session::is_cancelled) returned true.
     #[error("interrupted")]
     Cancelled,
-    /// The options contradict each other, are out of range, or name something that is not there. Nothing ran.
+    /// The options contradict each other, are out of range, or name something that does not exist. Nothing ran.
     #[error("{reason}")]
     Options {
-        /// What is wrong, and how to correct it.
+        /// The problem and its correction.
         reason: String,
     },
     /// The user's graph has mistakes. Nothing ran.
@@ -83,7 +83,7 @@ pub enum EvalError {
         /// Its last message.
         reason: String,
     },
-    /// The graph has no such output.
+    /// The graph does not have the output.
     #[error("there is no output {node}.{port}")]
     Output {
         /// Name of the node.
@@ -91,13 +91,13 @@ pub enum EvalError {
         /// Name of the output.
         port: String,
     },
-    /// A run ended without something that is needed to judge it.
+    /// A run ended without data that the evaluation needs.
     #[error("{what}")]
     Incomplete {
         /// What is missing.
         what: String,
     },
-    /// A table has no such column.
+    /// A table does not have the column.
     #[error("{table} has no column {column}")]
     Column {
         /// Whose table.
@@ -108,7 +108,7 @@ pub enum EvalError {
     /// A file, a folder or a program could not be used.
     #[error("cannot {action} {}", path.display())]
     File {
-        /// What was tried.
+        /// Attempted action.
         action: FileAction,
         /// The file, folder or program.
         path: PathBuf,
@@ -124,15 +124,15 @@ pub enum EvalError {
     /// Another program, run for comparison, failed or disagrees.
     #[error("{reason}")]
     Peer {
-        /// What happened, and how to correct it.
+        /// The problem and its correction.
         reason: String,
     },
     /// Something failed at a known position.
     #[error("{place}")]
     At {
-        /// Where: a file, a line, a step.
+        /// Location: a file, a line, a step.
         place: String,
-        /// Why.
+        /// Reason.
         source: Cause,
     },
     /// The engine did not start.
@@ -194,11 +194,11 @@ pub fn chain(error: &dyn Error) -> String {
     text
 }
 
-/// Adds the place to an error, or makes one where there is nothing.
+/// Adds a location to an error, or makes an error from `None`.
 pub(crate) trait Context<T> {
-    /// With a fixed text.
+    /// Adds a fixed text.
     fn context(self, text: &str) -> Result<T>;
-    /// With a text that is made when it is needed.
+    /// Adds a text that is computed on error.
     fn with_context(self, text: impl FnOnce() -> String) -> Result<T>;
 }
 

@@ -1,4 +1,4 @@
-//! Figures as benches write them (a contract: see the README).
+//! Figures of benches and evaluations; their JSON is a contract, see the README.
 
 use std::path::Path;
 
@@ -12,19 +12,19 @@ use crate::error::{FileAction, OnFile, Result};
 pub struct Figure {
     /// Name, `<measure>` or `<measure>/<case>`.
     pub name: String,
-    /// What was measured.
+    /// Measured value.
     pub value: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// What it is compared with, if anything.
+    /// Peer that it is compared with, if there is one.
     pub peer: Option<String>,
-    /// What the peer reached in the same run.
+    /// Value of the peer in the same run.
     pub peer_value: Option<f64>,
-    /// Above 1: better than the peer.
+    /// Comparison with the peer; above 1: better than the peer.
     pub ratio: Option<f64>,
     /// Cores this process may use.
     pub cores: usize,
-    /// What it was measured on.
+    /// Description of the input.
     pub input: String,
 }
 
@@ -44,7 +44,7 @@ impl Figure {
         }
     }
 
-    /// Adds a peer for a figure of which less is better.
+    /// Adds a peer to a figure for which smaller is better.
     pub fn beside(mut self, peer: &str, peer_value: Option<f64>) -> Self {
         if let Some(peer_value) = peer_value {
             self.peer = Some(peer.to_owned());

@@ -1,8 +1,8 @@
-//! Evaluation: how good results are beside truth and peers, what the runtime costs, and what a change of a parameter does.
+//! Evaluation: quality of results compared with ground truth and peers, cost of the runtime, and effect of parameters.
 //!
-//! Everything is a function with options in and figures out; no function writes to a terminal or ends the process. Progress, tables
-//! and the wish to stop go through a [`Session`]. [`eval`] judges results, [`bench`] measures costs; neither sees the other, and what
-//! both need lies in the other modules.
+//! Each evaluation is a function from options to figures; no function writes to a terminal or ends the process.
+//! Progress, tables and cancellation go through a [`Session`]. [`eval`] measures quality, [`bench`] measures costs;
+//! neither uses the other, and the other modules are shared.
 
 #![deny(unsafe_code)]
 

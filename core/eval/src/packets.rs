@@ -1,4 +1,4 @@
-//! Reading packets that nodes put out.
+//! Reads packets from nodes' outputs.
 
 use panoscope_abi::Calibration;
 use panoscope_base::packet;
@@ -9,12 +9,12 @@ use panoscope_engine::memory::FrameRef;
 pub struct Table {
     /// Column names with their units.
     pub names: Vec<String>,
-    /// Rows of as many numbers.
+    /// Rows with a value per column.
     pub rows: Vec<Vec<f64>>,
 }
 
 impl Table {
-    /// Reads a packet; `None` if it is no whole table.
+    /// Reads a packet; `None` if it is not a complete table.
     pub fn read(bytes: &[u8]) -> Option<Self> {
         let table = packet::Table::parse(bytes).ok()?;
         let values: Vec<f64> = table.values().collect();
@@ -29,7 +29,7 @@ impl Table {
     }
 }
 
-/// The bytes of a picture, row by row without padding. `None` if the buffer is shorter than the frame says.
+/// The bytes of an image, row by row without padding. `None` if the buffer is too short for the frame.
 pub fn bytes(frame: &FrameRef, channels: usize) -> Option<Vec<u8>> {
     let (described, bytes) = (frame.frame(), frame.bytes());
     let (width, height, stride) =
@@ -41,7 +41,7 @@ pub fn bytes(frame: &FrameRef, channels: usize) -> Option<Vec<u8>> {
     Some(out)
 }
 
-/// The values of a frame of floats, row by row without padding. `None` if the buffer is shorter than the frame says.
+/// The values of a frame of floats, row by row without padding. `None` if the buffer is too short for the frame.
 pub fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
     let (described, bytes) = (frame.frame(), frame.bytes());
     let (width, height) = (described.width as usize, described.height as usize);
@@ -54,7 +54,7 @@ pub fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
     Some(out)
 }
 
-/// Reads a packet of type `calibration`. `None` if it is cut off.
+/// Reads a packet of type `calibration`. `None` if it is truncated.
 pub fn calibration(bytes: &[u8]) -> Option<Calibration> {
     packet::decode(bytes).ok()
 }

@@ -1,4 +1,4 @@
-//! Charts as PNG pictures, drawn with the project's own lines and letters.
+//! Charts as PNG images, drawn with the project's own lines and font.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use crate::error::{Context, FileAction, OnFile, Result};
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{self, Color};
 
-/// Columns and rows of one chart, px.
+/// Width and height of one chart, px.
 const SIZE: (usize, usize) = (640, 360);
 /// Free space around the field of a chart: left, top, right, bottom, px.
 const MARGIN: [f32; 4] = [64.0, 52.0, 16.0, 46.0];
@@ -14,50 +14,50 @@ const MARGIN: [f32; 4] = [64.0, 52.0, 16.0, 46.0];
 const BACK: Color = [26, 24, 22];
 const INK: Color = [232, 232, 232];
 const GRID: Color = [62, 58, 56];
-/// Told apart by people who see few colours too (Okabe and Ito), BGR.
+/// Colours that people with colour blindness can distinguish (Okabe and Ito), BGR.
 const COLORS: [Color; 6] =
     [[233, 180, 86], [0, 159, 230], [115, 158, 0], [167, 121, 204], [66, 228, 240], [0, 94, 213]];
 
-/// How a series is drawn.
+/// Style of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
-    /// A line; gaps where values are missing.
+    /// A line with gaps at missing values.
     Line,
     /// A dot for each point.
     Dots,
-    /// Thin vertical bars from a low to a high value: points come in pairs.
+    /// Thin vertical bars from a low to a high value; each pair of points is a bar.
     Bars,
 }
 
-/// Points of one kind.
+/// A series of points.
 #[derive(Clone, Debug)]
 pub struct Series {
     /// Name in the legend.
     pub name: String,
-    /// How it is drawn.
+    /// Drawing style.
     pub style: Style,
-    /// Which colour it takes.
+    /// Index of its colour.
     pub color: usize,
-    /// Positions; those that are not finite are missing.
+    /// Positions; values that are not finite count as missing.
     pub points: Vec<(f64, f64)>,
 }
 
 /// One chart.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
-    /// What it shows.
+    /// Title of the chart.
     pub title: String,
-    /// Along, with unit.
+    /// Label of the horizontal axis, with unit.
     pub x_label: String,
-    /// Up, with unit.
+    /// Label of the vertical axis, with unit.
     pub y_label: String,
-    /// What is drawn.
+    /// The drawn series.
     pub series: Vec<Series>,
-    /// Zero belongs to the vertical axis.
+    /// The vertical axis includes 0.
     pub from_zero: bool,
     /// The vertical axis is logarithmic; values of 0 and less are missing.
     pub log: bool,
-    /// Positions along that have a word instead of a number; where there are any, the axis has no numbers.
+    /// Labelled positions on the horizontal axis; if there are any, the axis has no numbers.
     pub words: Vec<(f64, String)>,
 }
 
@@ -95,7 +95,7 @@ struct Axis {
     marks: Vec<(f64, String)>,
 }
 
-/// The vertical axis; of a logarithmic one, places are powers of ten.
+/// The vertical axis; on a logarithmic one, marks are powers of ten.
 fn upward(chart: &Chart) -> Axis {
     let values = chart.series.iter().flat_map(|s| s.points.iter().map(|p| p.1));
     if !chart.log {
@@ -193,7 +193,7 @@ fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
     }
 }
 
-/// Writes charts below one another in two columns.
+/// Writes charts in two columns.
 pub fn save(path: &Path, charts: &[Chart]) -> Result<()> {
     let columns = charts.len().clamp(1, 2);
     let (width, height) = (SIZE.0 * columns, SIZE.1 * charts.len().max(1).div_ceil(columns));

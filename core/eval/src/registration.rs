@@ -1,4 +1,4 @@
-//! How well views are registered: a graph run with judges behind its composites.
+//! Quality of registrations: a graph is run with evaluating nodes after its composites.
 
 use std::path::Path;
 
@@ -12,17 +12,17 @@ use crate::run::{self, Pace, Plan, RunOutput};
 use crate::session::Session;
 use crate::statistics::{finite, mean, rms};
 
-/// State of a registration of its own, as the judge writes it.
+/// Code of a fresh registration in the evaluating node's table.
 const FRESH: f64 = 0.0;
 
-/// Measures of one pair of views; NaN where there is no truth.
+/// Measures of one pair of views; NaN without ground truth.
 #[derive(Clone, Debug)]
 pub struct Registration {
     /// Share of frames with a fresh registration.
     pub stitched_pct: f64,
-    /// Root mean square distance of mapped from true positions in the overlap.
+    /// Root mean square distance between mapped and true positions in the overlap.
     pub align_px: f64,
-    /// The same of the best plane: what parallax leaves.
+    /// As `align_px` for the best plane: the error that parallax causes.
     pub floor_px: f64,
     /// Peak signal-to-noise ratio of both views in the overlap.
     pub psnr_overlap_db: f64,
@@ -32,19 +32,19 @@ pub struct Registration {
     pub psnr_seam_db: f64,
     /// Structural similarity along the seam, 0 to 1.
     pub ssim_seam: f64,
-    /// How far a line is broken across the seam: mean over the frames of their medians and of what 95 % of the seam stays within.
+    /// Offset of lines across the seam: means over the frames of the median and of the 95th percentile.
     pub seam_break_px: (f64, f64),
-    /// Share of the band along the seam that shows what the truth has nowhere near, percent.
+    /// Share of the band along the seam with content that the ground truth does not have nearby, percent.
     pub ghost_pct: f64,
-    /// Change of lengths against the homography where only the right view is shown, percent, of the worst frame.
+    /// Change of lengths against the homography in areas that only the right view shows, percent, in the worst frame.
     pub stretch_pct: f64,
     /// Area that the panorama shows, in percent of one view.
     pub fov_pct: f64,
-    /// Largest share of the views that the panorama cut off.
+    /// Maximum cropped share of the views.
     pub cropped_pct: f64,
 }
 
-/// Reads a judge's table.
+/// Reads the table of an evaluating node.
 ///
 /// # Errors
 /// A column is missing.
@@ -69,17 +69,17 @@ pub fn registration(rows: &Table) -> Result<Registration> {
     })
 }
 
-/// One graph with its judges, run.
+/// Result of a graph run with its evaluating nodes.
 pub struct JudgedRun {
-    /// One table per judge, in the order of [`judges`].
+    /// One table per evaluating node, in the order of [`judges`].
     pub tables: Vec<Table>,
-    /// The last panorama of each composite; none where registration alone is judged.
+    /// The last panorama of each composite; `None` if only the registration is evaluated.
     pub panoramas: Vec<Option<FrameRef>>,
     /// Packets and counters of the run.
     pub output: RunOutput,
 }
 
-/// Names of the judges and what figures call them.
+/// Names of the evaluating nodes, in the graph and in figures.
 pub fn judges(wiring: &Wiring) -> Vec<(String, String)> {
     let mut all = Vec::new();
     for composite in &wiring.composites {
@@ -95,10 +95,10 @@ pub fn judges(wiring: &Wiring) -> Vec<(String, String)> {
     all
 }
 
-/// Runs a graph with its judges for `frames` ticks; messages call it `path`.
+/// Runs a graph with its evaluating nodes for `frames` ticks; `path` names it in messages.
 ///
 /// # Errors
-/// The graph does not run, or a judge put out no table.
+/// The graph does not run, or an evaluating node returned no table.
 pub fn run_judged(
     session: &dyn Session,
     wiring: &Wiring,
@@ -117,13 +117,13 @@ pub fn run_judged(
     let panoramas = output.packets.split_off(names.len());
     let mut tables = Vec::new();
     for packet in &output.packets {
-        let bytes = packet.as_ref().context("the judge saw nothing")?.bytes();
-        tables.push(Table::read(bytes).context("the judge's table could not be read")?);
+        let bytes = packet.as_ref().context("the evaluating node received no packets")?.bytes();
+        tables.push(Table::read(bytes).context("the table of the evaluating node is malformed")?);
     }
     Ok(JudgedRun { tables, panoramas, output })
 }
 
-/// How well the first composite of a graph (TOML text) is registered over `frames` ticks.
+/// Measures the registration of the first composite of a graph (TOML text) over `frames` ticks.
 ///
 /// # Errors
 /// The graph has no composite, or does not run.
@@ -131,5 +131,5 @@ pub fn registration_of(session: &dyn Session, text: &str, frames: u64) -> Result
     let path = Path::new("bench.toml");
     let wiring = Wiring::of(&GraphText::parse(path, text), &Catalog::default())?;
     let run = run_judged(session, &wiring, JudgeInputs::Registration, path, frames)?;
-    registration(run.tables.first().context("there is no judge")?)
+    registration(run.tables.first().context("the graph has no evaluating node")?)
 }

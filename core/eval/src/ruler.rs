@@ -1,4 +1,4 @@
-//! Lengths and depths measured on the phantom, beside their truth.
+//! Lengths and depths measured on the phantom, compared with ground truth.
 
 use std::path::Path;
 
@@ -14,16 +14,16 @@ use crate::run::{self, Pace, Plan};
 use crate::session::Session;
 use crate::statistics::percentile;
 
-/// Size of the phantom's pictures, px.
+/// Size of the phantom's images, px.
 pub const SIZE: (usize, usize) = (640, 480);
-/// Focal length of the phantom's cameras.
+/// Focal length of the phantom's cameras, px.
 pub const FOCAL_PX: f64 = 750.0;
-/// Distance between the phantom's cameras.
+/// Distance between the phantom's cameras, mm.
 pub const BASELINE_MM: f64 = 15.0;
 /// Distances of the tissue, mm.
 pub const DISTANCES_MM: [f64; 5] = [30.0, 40.0, 50.0, 60.0, 70.0];
 
-/// Pairs of pixels whose distance is measured, all inside what both views share.
+/// Pairs of pixels whose distance is measured, all inside the overlap of both views.
 pub(crate) fn points(distance_mm: f64) -> Vec<[f64; 2]> {
     // The nearest tissue has the largest disparity.
     let from = (FOCAL_PX * BASELINE_MM / (distance_mm * 0.86) + 24.0).min(560.0);
@@ -76,34 +76,34 @@ params = {{ kind = "depth", points = {single:?} }}
         )
 }
 
-/// A length or a depth beside its truth.
+/// A measured length or depth with its true value.
 #[derive(Clone, Debug)]
 pub struct Measured {
-    /// Distance of the tissue.
+    /// Distance of the tissue, mm.
     pub distance_mm: f64,
-    /// Points measured, as letters.
+    /// Letters of the measured points.
     pub points: String,
-    /// True value.
+    /// True value, mm.
     pub true_mm: f64,
-    /// Measured value.
+    /// Measured value, mm.
     pub found_mm: f64,
-    /// Error that is stated with it.
+    /// Error estimate of the measurement, mm.
     pub stated_mm: f64,
 }
 
 impl Measured {
-    /// Difference from the truth, mm.
+    /// Difference from the true value, mm.
     pub fn off_mm(&self) -> f64 {
         (self.found_mm - self.true_mm).abs()
     }
 }
 
-/// All lengths and depths that were measured on the phantom (thesis, figs 3.14 and 3.15).
+/// All lengths and depths measured on the phantom (thesis, figs 3.14 and 3.15).
 #[derive(Clone, Debug, Default)]
 pub struct Ruler {
-    /// Between all pairs of points.
+    /// Lengths between all pairs of points.
     pub lengths: Vec<Measured>,
-    /// Of each point.
+    /// Depth of each point.
     pub depths: Vec<Measured>,
 }
 
@@ -112,7 +112,7 @@ fn letter(index: usize) -> char {
 }
 
 impl Ruler {
-    /// Measures on the rendered bowel at all distances.
+    /// Measures lengths and depths on the rendered bowel at all distances.
     pub fn measure(session: &dyn Session) -> Result<Self> {
         let mut ruler = Self::default();
         for distance_mm in DISTANCES_MM {
@@ -120,8 +120,9 @@ impl Ruler {
             let text = graph("bowel", distance_mm, &points);
             let ports = [("scope", "depth"), ("lengths", "table"), ("depths", "table")];
             let seen = run::run(session, &plan(&text, &ports))?;
-            let packet = |i: usize| seen.packets[i].as_ref().with_context(|| format!("{:?} gave nothing", ports[i]));
-            let depth = floats(packet(0)?).context("a map is cut off")?;
+            let packet =
+                |i: usize| seen.packets[i].as_ref().with_context(|| format!("{:?} returned no packet", ports[i]));
+            let depth = floats(packet(0)?).context("a map is truncated")?;
             ruler.add(distance_mm, &points, &depth, packet(1)?, packet(2)?)?;
         }
         Ok(ruler)
@@ -142,7 +143,7 @@ impl Ruler {
             [(u - cx) / FOCAL_PX * z, (v - cy) / FOCAL_PX * z, z]
         };
         let name = |at: [f64; 2]| points.iter().position(|p| *p == at).map_or('?', letter);
-        for row in &Table::read(lengths.bytes()).context("the table is cut off")?.rows {
+        for row in &Table::read(lengths.bytes()).context("the table is truncated")?.rows {
             let [u0, v0, u1, v1, found_mm, stated_mm] = row[..] else { continue };
             let (a, b) = (place([u0, v0]), place([u1, v1]));
             let true_mm = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt();
@@ -151,7 +152,7 @@ impl Ruler {
                 self.lengths.push(Measured { distance_mm, points, true_mm, found_mm, stated_mm });
             }
         }
-        for row in &Table::read(depths.bytes()).context("the table is cut off")?.rows {
+        for row in &Table::read(depths.bytes()).context("the table is truncated")?.rows {
             let [u, v, found_mm, stated_mm] = row[..] else { continue };
             if found_mm.is_finite() {
                 let (points, true_mm) = (name([u, v]).to_string(), place([u, v])[2]);
@@ -161,7 +162,7 @@ impl Ruler {
         Ok(())
     }
 
-    /// Errors in figures.
+    /// Errors as figures.
     pub fn figures(&self) -> Vec<Figure> {
         let mut out = Vec::new();
         if self.lengths.is_empty() {
@@ -189,7 +190,7 @@ impl Ruler {
         out
     }
 
-    /// The figures' numbers: lengths from the first point, and depths, at one distance.
+    /// Tables of lengths from the first point and of depths, at one distance.
     pub fn tables(&self, distance_mm: f64) -> String {
         let rows = |all: &[Measured], head: &str, wanted: &dyn Fn(&Measured) -> bool| {
             let mut rows =
@@ -206,7 +207,7 @@ impl Ruler {
         lengths + "\n" + &rows(&self.depths, "depth of", &|_| true)
     }
 
-    /// Draws measured against true, and the errors beside what was stated.
+    /// Plots measured over true values, and errors with their estimates.
     pub fn plot(&self, path: &Path) -> Result<()> {
         let pair = |title: &str, all: &[Measured]| {
             let sides = all.iter().map(|m| (m.true_mm, m.true_mm)).collect();

@@ -1,4 +1,4 @@
-//! Running a graph made as text, and reading what its nodes put out.
+//! Runs a graph given as text, and reads packets of its outputs.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,20 +13,20 @@ use panoscope_host::loader::graph_file;
 use crate::error::{Context, EvalError, Result};
 use crate::session::{Session, check_cancelled};
 
-/// Longest wait for nodes that do not close.
+/// Maximum wait for nodes to close.
 const CLOSE_LIMIT: Duration = Duration::from_secs(10);
 
-/// How a graph is run.
+/// Options of a run.
 pub struct Plan<'a> {
-    /// The graph.
+    /// The graph as TOML text.
     pub text: &'a str,
-    /// What messages call it; its folder is what paths start from.
+    /// Path of the graph in messages; relative paths start from its folder.
     pub path: &'a Path,
-    /// Ticks of each source.
+    /// Ticks of each source; default: until each port has had a packet.
     pub frames: Option<u64>,
     /// Threads of the pool; 0: one per core.
     pub threads: usize,
-    /// Node and output whose newest packet is returned.
+    /// Nodes and outputs whose newest packets are returned.
     pub ports: &'a [(&'a str, &'a str)],
     /// When ticks begin.
     pub pace: Pace,
@@ -39,21 +39,21 @@ pub enum Pace {
     Camera,
     /// As soon as the graph takes it; ticks overlap.
     Free,
-    /// When the one before it has ended: nothing but the node is at work while it is timed.
+    /// When the one before it has ended, so that nothing else runs while a node is timed.
     Alone,
 }
 
-/// What a run left behind.
+/// Results of a run.
 pub struct RunOutput {
-    /// The newest packet of each port asked for; none when there was none.
+    /// The newest packet of each requested port; `None` if there was none.
     pub packets: Vec<Option<FrameRef>>,
     /// Counters of the engine.
     pub report: Report,
-    /// Newest log lines: node and text.
+    /// The newest log lines: node and text.
     pub log: Vec<(String, String)>,
 }
 
-/// Text of a checked graph in which parts are replaced by their nodes, overlays and settings are applied and arguments have their values.
+/// Text of a checked graph with parts replaced by their nodes, and with overlays, settings and arguments applied.
 ///
 /// # Errors
 /// The graph has mistakes.
@@ -73,30 +73,30 @@ pub(crate) fn close(engine: &Engine) -> Result<Report> {
     }
 }
 
-/// The first node all of whose calls failed, and its last message in the log.
+/// The first node all of whose calls failed, with its last message in the log.
 pub(crate) fn failed_node(engine: &Engine, report: &Report) -> Option<(String, String)> {
     let (node, _) = report.nodes.iter().find(|(_, n)| n.faults > 0 && n.faults >= n.count)?;
     let last = engine.recent_log().into_iter().rev().find(|(_, id, _)| id == node);
     Some((node.clone(), last.map_or_else(String::new, |(_, _, text)| text)))
 }
 
-/// Runs the graph to its end; without a number of frames until each port has shown a packet.
+/// Runs the graph to its end; without a number of frames until each port has had a packet.
 pub fn run(session: &dyn Session, plan: &Plan<'_>) -> Result<RunOutput> {
     run_watched(session, plan, Watchers::default())
 }
 
-/// What follows a run.
+/// Watchers of a run.
 #[derive(Default)]
 pub struct Watchers {
-    /// Listeners on all packets of ports.
+    /// Listeners for all packets of ports.
     pub listen: Vec<Listener>,
-    /// Listeners on the metrics of nodes.
+    /// Listeners for the metrics of nodes.
     pub numbers: Vec<NumberListener>,
-    /// Receives all calls with their times.
+    /// Receives all calls and their times.
     pub tracer: Option<Arc<dyn Tracer>>,
 }
 
-/// As [`run`], followed by watchers.
+/// As [`run`], with watchers.
 pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -> Result<RunOutput> {
     check_cancelled(session)?;
     let text = GraphText::parse(plan.path, plan.text);

@@ -1,4 +1,4 @@
-//! The connection between a measurement and its caller.
+//! Interface between a measurement and its caller.
 
 use crate::error::{EvalError, Result};
 
@@ -11,9 +11,10 @@ pub struct AllocationCounters {
     pub thread: Option<fn() -> u64>,
 }
 
-/// What a measurement reports while it runs, and what it asks.
+/// Reports of a running measurement, and requests to its caller.
 ///
-/// The library writes to no terminal and handles no signal: a command prints what it gets here, an editor shows it, a test ignores it.
+/// The library writes to no terminal and handles no signal: a command prints the reports, an editor shows them, a test
+/// ignores them.
 pub trait Session: Sync {
     /// One line of progress, or a warning. A skipped case starts with `skipped:`.
     fn note(&self, line: &str) {
@@ -25,7 +26,8 @@ pub trait Session: Sync {
         let _ = text;
     }
 
-    /// Whether the caller wants the measurement to end. Asked at least between two runs of a graph and ten times a second during one.
+    /// Whether the caller wants the measurement to end. Called at least between two runs of a graph and ten times per
+    /// second during one.
     fn is_cancelled(&self) -> bool {
         false
     }
@@ -36,7 +38,7 @@ pub trait Session: Sync {
     }
 }
 
-/// A session that reports nothing and never ends early.
+/// A session that reports nothing and is never cancelled.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

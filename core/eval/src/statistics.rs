@@ -1,22 +1,23 @@
-//! Means and lines of measured values.
+//! Statistics of measured values.
 
-/// The values that are finite.
+/// The finite values.
 pub fn finite(values: &[f64]) -> impl Iterator<Item = f64> + '_ {
     values.iter().copied().filter(|v| v.is_finite())
 }
 
-/// Mean of the finite values; NaN of none.
+/// Mean of the finite values; NaN if there are none.
 pub fn mean(values: &[f64]) -> f64 {
     let count = finite(values).count();
     if count == 0 { f64::NAN } else { finite(values).sum::<f64>() / count as f64 }
 }
 
-/// Root mean square of the finite values; NaN of none.
+/// Root mean square of the finite values; NaN if there are none.
 pub fn rms(values: &[f64]) -> f64 {
     mean(&values.iter().map(|v| v * v).collect::<Vec<_>>()).sqrt()
 }
 
-/// The finite value with a share of the others below it, 0.5 for the median; NaN of none. Of an even number the larger of the middle two.
+/// The finite value with this share of the others below it, 0.5 for the median; NaN if there are none. The median of an
+/// even number of values is the larger of the middle two.
 pub fn percentile(values: &[f64], share: f64) -> f64 {
     let mut sorted: Vec<f64> = finite(values).collect();
     sorted.sort_by(f64::total_cmp);
@@ -37,7 +38,7 @@ pub fn line(points: &[(f64, f64)]) -> (f64, f64) {
     (slope, my - slope * mx)
 }
 
-/// Share of the spread of `y` that the line explains, 0..1.
+/// Share of the variance of `y` that the line explains, 0 to 1.
 pub fn r_squared(points: &[(f64, f64)]) -> f64 {
     let (slope, offset) = line(points);
     let mean = points.iter().map(|(_, y)| y).sum::<f64>() / points.len() as f64;

@@ -20,13 +20,13 @@ const RIGHT: f64 = 12.0;
 const TOP: f64 = 24.0;
 const BOTTOM: f64 = 34.0;
 
-/// What a plot's numbers span.
+/// Axis of a plot.
 #[derive(Clone, Debug)]
 pub struct Axis {
     pub low: f64,
     pub high: f64,
     step: f64,
-    /// Words at 0, 1, 2, ... instead of numbers.
+    /// Labels at 0, 1, 2, ... instead of numbers.
     words: Vec<String>,
 }
 
@@ -44,7 +44,7 @@ impl Axis {
         Self { low: (low / step).floor() * step, high: (high / step).ceil() * step, step, words: Vec::new() }
     }
 
-    /// A place for each word: 0, 1, 2, ...
+    /// An axis with a position for each label: 0, 1, 2, ...
     pub fn of_words(words: &[&str]) -> Self {
         let words: Vec<String> = words.iter().map(|&word| word.to_owned()).collect();
         Self { low: -0.5, high: words.len() as f64 - 0.5, step: 1.0, words }
@@ -66,12 +66,12 @@ impl Axis {
     }
 }
 
-/// Text inside a page.
+/// Escapes text for HTML.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// A plot that is being drawn.
+/// A plot under construction.
 pub struct Plot {
     out: String,
     x: Axis,
@@ -80,7 +80,7 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// An empty plot with axes. `title` says what it shows to those who do not see it.
+    /// An empty plot with axes. `title` describes it for screen readers.
     pub fn new(title: &str, size: (f64, f64), x: Axis, y: Axis, x_label: &str, y_label: &str) -> Self {
         let (w, h) = size;
         let (across, upward) = (x.marks(), y.marks());
@@ -125,7 +125,7 @@ impl Plot {
         self.size.1 - BOTTOM - (value - self.y.low) / (self.y.high - self.y.low) * (self.size.1 - TOP - BOTTOM)
     }
 
-    /// A line; a point that is not joined begins a new one.
+    /// A line; a point that is not joined begins a new line.
     pub fn line(&mut self, color: usize, points: impl Iterator<Item = ((f64, f64), bool)>) {
         let mut path = String::new();
         let mut has_pen = false;
@@ -150,7 +150,7 @@ impl Plot {
         }
     }
 
-    /// A filled rectangle between two values across and two up.
+    /// A filled rectangle between two horizontal and two vertical values.
     pub fn bar(&mut self, color: usize, across: (f64, f64), up: (f64, f64), opacity: f64) {
         let (x, y) = (self.across(across.0), self.up(up.1));
         let (w, h) = ((self.across(across.1) - x).max(0.2), (self.up(up.0) - y).max(0.2));
@@ -161,7 +161,7 @@ impl Plot {
         );
     }
 
-    /// An upright line with a word, such as where a phase begins.
+    /// A vertical line with a label, such as the beginning of a phase.
     pub fn flag(&mut self, at: f64, word: &str) {
         let (x, bottom, word) = (self.across(at), self.size.1 - BOTTOM, escaped(word));
         let _ = write!(
@@ -172,13 +172,13 @@ impl Plot {
         );
     }
 
-    /// A word at the left of a value up.
+    /// A label to the left of a vertical value.
     pub fn word(&mut self, up: f64, word: &str) {
         let _ =
             write!(self.out, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", LEFT + 4.0, self.up(up) + 4.0, escaped(word));
     }
 
-    /// The plot as text.
+    /// The plot as SVG text.
     pub fn end(mut self) -> String {
         self.out.push_str("</svg>\n");
         self.out

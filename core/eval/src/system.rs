@@ -1,16 +1,16 @@
-//! Questions to the operating system about this process.
+//! Resources of this process, from the operating system.
 #![allow(unsafe_code)]
 
-/// Processor time and waits of this process so far.
+/// Processor time and waits of this process since its start.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Usage {
-    /// Processor time of all threads, user and system.
+    /// Processor time of all threads, user and system, s.
     pub cpu_seconds: f64,
-    /// Times a thread gave up its core to wait.
+    /// Number of voluntary context switches.
     pub voluntary_waits: u64,
 }
 
-/// What this process has used so far.
+/// Usage of this process since its start.
 pub(crate) fn usage() -> Usage {
     // SAFETY: `rusage` is plain integers, for which zero is valid; the call fills it and keeps no pointer to it.
     let usage = unsafe {
@@ -22,7 +22,7 @@ pub(crate) fn usage() -> Usage {
     Usage { cpu_seconds: seconds(usage.ru_utime) + seconds(usage.ru_stime), voluntary_waits: usage.ru_nvcsw as u64 }
 }
 
-/// Resident memory of this process, MB; 0 if `/proc` does not have it.
+/// Resident memory of this process, MB; 0 if `/proc` lacks it.
 pub(crate) fn resident_mb() -> f64 {
     resident_mb_of(std::process::id())
 }
@@ -37,12 +37,12 @@ pub(crate) fn resident_mb_of(id: u32) -> f64 {
     pages * page_bytes as f64 / 1e6
 }
 
-/// Threads of this process; 0 if `/proc` does not have it.
+/// Threads of this process; 0 if `/proc` lacks it.
 pub(crate) fn threads() -> usize {
     entries("/proc/self/task")
 }
 
-/// Open files of this process; 0 if `/proc` does not have it.
+/// Open files of this process; 0 if `/proc` lacks it.
 pub(crate) fn open_files() -> usize {
     // Without the one that reads the folder.
     entries("/proc/self/fd").saturating_sub(1)

@@ -146,9 +146,9 @@ fn mistakes_are_named_before_anything_runs() {
     assert!(refused("level.gian", "level.level").contains("it has gain, window, spots"));
     assert!(refused("level.window", "level.level").contains("a list of numbers cannot be swept"));
     assert!(refused("level.gain", "level.levels").contains("name a column"));
-    assert!(refused("level.gain", "source.image").contains("carries image, no numbers"));
-    assert!(refused("shut.open", "level.level").contains("nothing of `shut` reaches"));
-    assert!(refused("shut.open", "kept.count").contains("acts on the world"));
+    assert!(refused("level.gain", "source.image").contains("packets are image, without numbers"));
+    assert!(refused("shut.open", "level.level").contains("`shut` is not upstream of"));
+    assert!(refused("shut.open", "kept.count").contains("has side effects"));
     let far = Request { to: Some(9.0), ..request("level.gain", "level.level") };
     assert!(Sweep::new(far, Arc::new(loader())).is_err_and(|e| e.to_string().contains("outside 0 to 8")));
     let broken = Request { text: "nodes = 3".to_owned(), ..request("level.gain", "level.level") };

@@ -1,4 +1,4 @@
-//! `panoscope bench`: what the runtime itself costs.
+//! `panoscope bench`: measures the runtime itself.
 
 use std::path::PathBuf;
 
@@ -10,30 +10,30 @@ use panoscope_cli::given::Given;
 use panoscope_cli::terminal::raw;
 use panoscope_cli::{End, allocations, beside, interrupt};
 
-/// What is measured.
+/// Benches.
 #[derive(clap::Subcommand)]
 pub enum Bench {
-    /// From node to node: inline, between threads, paced; beside GStreamer.
+    /// Hop from node to node: inline, between threads, paced; compared with GStreamer.
     Hop(Arguments),
     /// Checking and starting large graphs.
     Start(Arguments),
     /// Cost of a tick against the number of nodes.
     Scale(Arguments),
-    /// The stereo chain step by step, beside OpenCV's.
+    /// The stereo chain step by step, compared with OpenCV's.
     Stereo(Stereo),
-    /// What the editor's window costs the graph and its own thread. Needs a screen, or Xvfb.
+    /// Cost of the editor's window for the graph and for its own thread. Needs a screen, or Xvfb.
     Editor(Arguments),
-    /// Registration, seam and blend at three sizes, beside OpenCV.
+    /// Registration, seam and blend at three sizes, compared with OpenCV.
     Stitch(Stitch),
-    /// Messages of OpenIGTLink through a graph, beside the OpenIGTLink library and pyigtl.
+    /// Messages of OpenIGTLink through a graph, compared with the OpenIGTLink library and pyigtl.
     Igtl(Arguments),
-    /// Detector and segmenter on a picture of 640x480, beside plain ONNX Runtime in Python.
+    /// Detector and segmenter on a 640x480 image, compared with plain ONNX Runtime in Python.
     Tools(Tools),
-    /// An edge to another machine, beside zenoh alone and dora.
+    /// An edge to another machine, compared with zenoh alone and dora.
     Remote(Arguments),
-    /// A whole graph on views rendered beforehand: pictures a second, their age at 30 a second, where the time goes.
+    /// A whole graph on views rendered beforehand: frames per second, their age at 30 per second, time per node.
     System(System),
-    /// What a graph costs against width, cameras, nodes and threads, drawn as curves, and a simulation of more cores.
+    /// Cost of a graph by width, cameras, nodes and threads, drawn as curves, and a simulation of more cores.
     Cost(Cost),
 }
 
@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Writes the figures as JSON.
     #[arg(long, value_name = "FILE.json")]
     json: Option<PathBuf>,
-    /// Fewer frames and rounds: a look, not a measurement.
+    /// Fewer frames and rounds: a quick check, not a measurement.
     #[arg(long)]
     quick: bool,
 }
@@ -54,7 +54,7 @@ pub struct Arguments {
 pub struct Stereo {
     #[command(flatten)]
     common: Arguments,
-    /// Draws measured lengths and depths beside the true ones.
+    /// Draws measured lengths and depths against the true ones.
     #[arg(long, value_name = "FILE.png")]
     plot: Option<PathBuf>,
 }
@@ -65,7 +65,7 @@ pub struct Stereo {
 pub struct Stitch {
     #[command(flatten)]
     common: Arguments,
-    /// Only pictures of this size; may be given again.
+    /// Image size to measure; repeatable. Default: all.
     #[arg(long, value_parser = bench::stitch::SIZE_NAMES)]
     size: Vec<String>,
     /// Draws the time of each frame at 640x480: registration, seam and the whole.
@@ -80,13 +80,13 @@ pub struct Stitch {
 pub struct Tools {
     #[command(flatten)]
     common: Arguments,
-    /// Measures plain ONNX Runtime in Python beside it; without a program `python3`.
+    /// Measures plain ONNX Runtime in Python in addition; default program: `python3`.
     #[arg(long, value_name = "PROGRAM", num_args = 0..=1, default_missing_value = "python3")]
     python: Option<PathBuf>,
-    /// Detector; else the one that ships.
+    /// Detector; default: the shipped one.
     #[arg(long, value_name = "FILE.onnx")]
     model: Option<PathBuf>,
-    /// Segmenter; else the one that ships.
+    /// Segmenter; default: the shipped one.
     #[arg(long, value_name = "FILE.onnx")]
     masks: Option<PathBuf>,
 }
@@ -95,7 +95,7 @@ pub struct Tools {
 #[derive(clap::Args)]
 #[group(skip)]
 struct WholeGraph {
-    /// Graph with a `phantom`, whose views are rendered beforehand; `parts` lies beside it.
+    /// Graph with a `phantom`, whose views are rendered beforehand; `parts` is next to it.
     #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
     graph: PathBuf,
     #[command(flatten)]
@@ -116,10 +116,10 @@ pub struct System {
     common: Arguments,
     #[command(flatten)]
     whole: WholeGraph,
-    /// Size of the views; that of the graph's `phantom` without it.
+    /// Size of the views; default: that of the graph's `phantom`.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(u32, u32)>,
-    /// Pictures a second of the cameras.
+    /// Frames per second of the cameras.
     #[arg(long, value_name = "HZ", default_value_t = bench::CAMERA_HZ, value_parser = clap::value_parser!(u32).range(1..=1000))]
     rate_hz: u32,
     /// Writes what each thread did at the cameras' rate, for the viewer at ui.perfetto.dev.

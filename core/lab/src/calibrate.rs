@@ -14,11 +14,12 @@ use panoscope_cli::terminal::{log, out, raw};
 /// Arguments of `calibrate`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Left views: images (a folder, dir/*.png, img_%04d.png, in quotes), a video, a camera or a GStreamer pipeline; with
+    /// Left views: images (a folder, dir/*.png, img_%04d.png, in quotes), a video, a camera or a GStreamer pipeline;
+    /// with
     /// --graph a port such as scope.left.
     #[arg(long, value_name = "FILES|PORT")]
     left: String,
-    /// The same for the right views.
+    /// Right views, in the same forms.
     #[arg(long, value_name = "FILES|PORT")]
     right: String,
     /// Takes the views from the ports of this graph.
@@ -31,20 +32,20 @@ pub struct Arguments {
     /// The result, as OpenCV's FileStorage YAML.
     #[arg(long, short, value_name = "FILE.yml", default_value = "calibration.yml")]
     out: PathBuf,
-    /// Folder for pictures: coverage, rows after rectification, corners of the last view.
+    /// Folder for images: coverage, rows after rectification, corners of the last view.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// Distortion that is solved for: radial (k1 k2), standard (k1 k2 p1 p2), full (and k3), rational (k1 to k6), equidistant (k1 to k4
-    /// of a fisheye).
+    /// Distortion that is solved for: radial (k1 k2), standard (k1 k2 p1 p2), full (and k3), rational (k1 to k6),
+    /// equidistant (k1 to k4 of a fisheye).
     #[arg(long, default_value = "standard", value_parser = ["radial", "standard", "full", "rational", "equidistant"])]
     model: String,
-    /// Pairs that are looked at; of a video, a camera or a live graph 300 unless given.
+    /// Maximum number of pairs; default for a video, a camera or a live graph: 300.
     #[arg(long, value_parser = clap::value_parser!(u64).range(5..))]
     frames: Option<u64>,
-    /// Keeps views whose error stands out.
+    /// Keeps views with outlying errors.
     #[arg(long)]
     keep_all: bool,
-    /// Whose steps are taken: own, or sample, those of OpenCV's sample stereo_calib with all views and its model.
+    /// Method: own, or sample for the steps of OpenCV's sample stereo_calib with all views and its model.
     #[arg(long, default_value = "own", value_parser = ["own", "sample"])]
     method: String,
 }

@@ -25,13 +25,13 @@ pub struct Arguments {
     recording: PathBuf,
     #[command(flatten)]
     targets: Targets,
-    /// Only these ports, or all ports of these nodes; separated by commas.
+    /// Ports, or nodes for all of their ports, separated by commas; default: all.
     #[arg(long, value_name = "NODE[.PORT]", value_delimiter = ',')]
     ports: Vec<String>,
     /// First tick.
     #[arg(long, default_value_t = 0, value_name = "TICK")]
     from: u64,
-    /// Last tick; without it, the last one of the recording.
+    /// Last tick; default: the last one of the recording.
     #[arg(long, value_name = "TICK")]
     to: Option<u64>,
     /// Replaces files that exist.
@@ -41,17 +41,19 @@ pub struct Arguments {
     own_plugins: OwnPlugins,
 }
 
-/// What is written.
+/// Outputs of the export.
 #[derive(clap::Args)]
 #[group(required = true, multiple = true)]
 struct Targets {
-    /// Writes a folder: pictures as PNG, disparity and depth as NPY, clouds as PLY, calibrations as YAML, all others as CSV.
+    /// Writes a folder: images as PNG, disparity and depth as NPY, clouds as PLY, calibrations as YAML, all others as
+    /// CSV.
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
     /// Writes an MCAP file with the schemas of Foxglove.
     #[arg(long, value_name = "FILE.mcap")]
     foxglove: Option<PathBuf>,
-    /// Writes a bag of ROS 2: a folder with an MCAP file and metadata.yaml, which every distribution since Humble reads.
+    /// Writes a bag of ROS 2: a folder with an MCAP file and metadata.yaml, which every distribution since Humble
+    /// reads.
     #[arg(long, value_name = "DIR")]
     ros2: Option<PathBuf>,
     /// Writes a file of rerun, through Python with the package rerun-sdk.
@@ -129,10 +131,10 @@ fn failed(error: &ExportError) -> End {
     }
 }
 
-/// Writes a file of rerun. `None`: it failed, and the interpreter said why.
+/// Writes a file of rerun. `None` if it failed and the interpreter reported why.
 fn write_rerun(arguments: &Arguments, export: &Export<'_>, path: &Path) -> Result<Option<Vec<Line>>> {
     let mut python = python_module(RERUN_MODULE)
-        .context("rerun files are written by Python; name an interpreter in PANOSCOPE_PYTHON")?;
+        .context("rerun files are written by Python; set PANOSCOPE_PYTHON to an interpreter")?;
     python.arg(&arguments.recording).arg(path);
     python.args(["--from", &arguments.from.to_string()]);
     if let Some(to) = arguments.to {
@@ -159,19 +161,19 @@ fn write_rerun(arguments: &Arguments, export: &Export<'_>, path: &Path) -> Resul
         }
         return Ok(None);
     }
-    Ok(Some(serde_json::from_slice(&output.stdout).context("Python did not say what it wrote")?))
+    Ok(Some(serde_json::from_slice(&output.stdout).context("Python did not report its files")?))
 }
 
-/// A port in the list of what was written.
+/// A port in the list of written ports.
 #[derive(Deserialize)]
 struct Line {
     port: String,
     packets: usize,
-    /// How it is stored.
+    /// Form in the target.
     form: Option<String>,
-    /// Where it is stored.
+    /// Location in the target.
     at: Option<String>,
-    /// Why it was left out.
+    /// Reason for which it was left out.
     left_out: Option<String>,
 }
 

@@ -12,7 +12,7 @@ struct Foxglove {
     server: Option<FoxgloveServer>,
 }
 
-/// The server of a run whose arguments ask for one.
+/// The server of a run, if the arguments request one.
 pub fn server(arguments: &Arguments) -> Option<Box<dyn Server>> {
     let (address, may_set) = arguments.foxglove()?;
     Some(Box::new(Foxglove { options: Options { address, may_set }, server: None }))

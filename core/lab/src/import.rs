@@ -18,19 +18,19 @@ const OVERLAY: &str = "graphs/sources/data_set.toml";
 pub struct Arguments {
     /// Folder of a data set, or of several.
     folder: PathBuf,
-    /// As JSON: all that is known of each sequence.
+    /// As JSON: all properties of each sequence.
     #[arg(long)]
     json: bool,
 }
 
-/// What a calibration says.
+/// Content of a calibration.
 enum Cameras {
     None,
     Read { baseline_mm: f64, is_rectified: bool },
     Damaged(String),
 }
 
-/// Reads the calibration of the first picture that has one.
+/// Reads the calibration of the first image that has one.
 fn cameras(sequence: &Sequence) -> Cameras {
     let Some(files) = &sequence.calibration else { return Cameras::None };
     let Some(picture) = files.sets.iter().position(|set| !set.is_empty()) else { return Cameras::None };
@@ -48,7 +48,7 @@ fn kind(sequence: &Sequence) -> &'static str {
     }
 }
 
-/// A cell for what only some pictures have.
+/// A cell for data that only some images have.
 fn share(count: usize, sequence: &Sequence, words: &str) -> String {
     match sequence.count() {
         Some(all) if count < all => format!("{words} ({count})"),
@@ -78,7 +78,7 @@ fn row(sequence: &Sequence, cameras: &Cameras) -> Vec<String> {
     ]
 }
 
-/// Remarks of a sequence, with what is wrong with its calibration.
+/// Remarks of a sequence, with mistakes in its calibration.
 fn remarks(sequence: &Sequence, cameras: &Cameras) -> Vec<String> {
     let mut all = sequence.remarks.clone();
     if let Cameras::Damaged(why) = cameras {
@@ -118,7 +118,7 @@ fn as_json(sequence: &Sequence) -> Value {
     })
 }
 
-/// Says which layouts are known.
+/// Reports the known layouts.
 fn nothing(folder: &Path, found: &Found) {
     log!(
         "no data set of a known layout in {} ({} folders searched, down to {MAX_LEVELS} levels)",

@@ -1,4 +1,5 @@
-//! The commands that `panoscope` hands to this program, so that a build which only runs graphs needs none of their crates.
+//! The commands that `panoscope` passes to this program, so that a build which only runs graphs needs none of their
+//! crates.
 
 mod bench;
 mod calibrate;

@@ -15,16 +15,18 @@ pub struct Arguments {
     /// Folders that `panoscope sweep --out` wrote, or single runs in them.
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Writes the page: tables and plots, without scripts, complete in itself.
+    /// Writes the page: tables and plots, without scripts, self-contained.
     #[arg(long, value_name = "FILE.html")]
     html: PathBuf,
-    /// Statistic of the measures that is compared. Of measures that count since the start (ap50_pct, ...) take `last`.
+    /// Statistic of the measures that is compared. Use `last` for measures that accumulate from the start (ap50_pct,
+    /// ...).
     #[arg(long, default_value = "mean", value_parser = clap::builder::PossibleValuesParser::new(Statistic::ALL.map(Statistic::name)))]
     statistic: String,
-    /// A measure of which more is better. Known by their names: ap50, precision, recall, coverage, inliers, density, confidence, fps, hz.
+    /// A measure for which more is better. Recognised by name: ap50, precision, recall, coverage, inliers, density,
+    /// confidence, fps, hz.
     #[arg(long, value_name = "MEASURE")]
     larger: Vec<String>,
-    /// A measure of which less is better, as of all others.
+    /// A measure for which less is better, as for all others.
     #[arg(long, value_name = "MEASURE")]
     smaller: Vec<String>,
 }

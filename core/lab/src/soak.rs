@@ -1,4 +1,5 @@
-//! `panoscope soak`: runs a graph for minutes, disturbed where wanted, and says whether its memory, threads or open files grow.
+//! `panoscope soak`: runs a graph for minutes, optionally disturbed, and checks whether its memory, threads or open
+//! files grow.
 
 use std::path::PathBuf;
 
@@ -18,17 +19,19 @@ use panoscope_cli::terminal::{log, raw};
 pub struct Arguments {
     #[command(flatten)]
     run: run::Arguments,
-    /// How long.
+    /// Duration, minutes.
     #[arg(long, default_value_t = 10.0, value_parser = minutes)]
     minutes: f64,
-    /// Changes the running graph every so many seconds: in turn a parameter moves, it moves back, a sink leaves, it comes back.
+    /// Period of changes of the running graph, s: in turn a parameter changes and changes back, a sink is removed and
+    /// added again.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     edit_every: Option<f64>,
-    /// Kills the process of a group of isolated nodes every so many seconds, of each group in turn. Faults of isolated nodes are then expected
-    /// and do not fail the run.
+    /// Period of kills of processes of isolated nodes, s, one group after the other. Faults of isolated nodes are then
+    /// expected and do not fail the run.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     kill_every: Option<f64>,
-    /// Writes every sample: seconds, memory, frames, frame memory, drops, faults, threads, open files, isolated processes.
+    /// Writes every sample: seconds, memory, frames, frame memory, drops, faults, threads, open files, isolated
+    /// processes.
     #[arg(long, value_name = "FILE.csv")]
     csv: Option<PathBuf>,
 }
@@ -41,7 +44,7 @@ fn minutes(text: &str) -> Result<f64, NumberError> {
     number_in(text, 0.05..=100_000.0, "number of minutes", "0.05 to 100000 minutes")
 }
 
-/// Runs a graph, disturbs it and watches what it holds.
+/// Runs a graph, disturbs it and monitors its resources.
 pub fn run(arguments: &Arguments) -> Result<End> {
     let mut soak = Soak::default();
     let settings = Disturbances { edit_every_s: arguments.edit_every, kill_every_s: arguments.kill_every };

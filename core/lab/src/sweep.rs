@@ -1,4 +1,4 @@
-//! `panoscope sweep`: what parameters and node types do to measures.
+//! `panoscope sweep`: effect of parameters and node types on measures.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,42 +22,45 @@ use panoscope_cli::{End, interrupt};
 /// Arguments of `sweep`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Graph file. Nodes that act on the world (files, motors) are left out.
+    /// Graph file. Nodes with side effects (files, motors) are removed.
     graph: PathBuf,
-    /// A parameter, with its values: FROM..TO, FROM..TO/STEPS or VALUE,VALUE,...; without them from its smallest to its largest, or all of a switch or
-    /// a choice. NODE.type=TYPE,TYPE varies the type of a node. May be given again: all combinations are run.
+    /// A parameter, with its values: FROM..TO, FROM..TO/STEPS or VALUE,VALUE,...; default: from its minimum to its
+    /// maximum, or all of a switch or a choice. NODE.type=TYPE,TYPE varies the type of a node. Repeatable: all
+    /// combinations are run.
     #[arg(long, value_name = "NODE.PARAM[=VALUES]", required = true)]
     param: Vec<String>,
-    /// First value of a single parameter; without it the parameter's smallest. Of switches and choices all values are taken.
+    /// First value of a single parameter; default: the parameter's minimum. Switches and choices use all values.
     #[arg(long, allow_negative_numbers = true)]
     from: Option<f64>,
-    /// Last value of a single parameter; without it the parameter's largest.
+    /// Last value of a single parameter; default: the parameter's maximum.
     #[arg(long, allow_negative_numbers = true)]
     to: Option<f64>,
     /// Number of values, both ends included.
     #[arg(long, default_value_t = 9)]
     steps: usize,
-    /// A scalar port, a column of a table port (`COLUMN[2]` for the second of several rows, `COLUMN[*]` for all), or a number or counter that a
-    /// node reports (p50_ms, ...). May be given again.
+    /// A scalar port, a column of a table port (`COLUMN[2]` for the second of several rows, `COLUMN[*]` for all), or a
+    /// number or counter that a node reports (p50_ms, ...). Repeatable.
     #[arg(long, value_name = "NODE.PORT[.COLUMN]", required = true)]
     measure: Vec<String>,
-    /// Makes so many runs with values drawn at random, instead of all combinations.
+    /// Number of runs with random values, instead of all combinations.
     #[arg(long, value_name = "RUNS")]
     random: Option<usize>,
-    /// Makes so many runs, each with values for which earlier runs promise a better first measure (tree-structured Parzen estimator).
+    /// Number of runs of a search, each with values that promise a better first measure by earlier runs
+    /// (tree-structured Parzen estimator).
     #[arg(long, value_name = "RUNS", conflicts_with = "random")]
     search: Option<usize>,
     /// Seed of --random and --search: the same seed gives the same values; of a search, one run at a time.
     // Graphs have arguments called `seed`.
     #[arg(long, default_value_t = 1)]
     random_seed: u64,
-    /// Statistic of the first measure that --search improves. Of measures that count since the start (ap50_pct, ...) take `last`.
+    /// Statistic of the first measure that --search improves. Use `last` for measures that accumulate from the start
+    /// (ap50_pct, ...).
     #[arg(long, default_value = "mean", value_parser = clap::builder::PossibleValuesParser::new(Statistic::ALL.map(Statistic::name)))]
     statistic: String,
-    /// More of the first measure is better in --search. Known by their names: see `panoscope report --help`.
+    /// Maximizes the first measure in --search. Recognised by name: see `panoscope report --help`.
     #[arg(long)]
     maximize: bool,
-    /// Runs at a time. They share the machine: measure times with 1.
+    /// Number of parallel runs. They share the machine: measure times with 1.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: u16,
     /// Writes a folder for each run (graph.toml, results.json with hashes and machine) and results.csv over all.
@@ -66,24 +69,24 @@ pub struct Arguments {
     /// Maximum number of ticks of each source per value.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     frames: u64,
-    /// Takes the pictures of a recording of `panoscope record` instead of the graph's sources.
+    /// Uses the frames of a recording of `panoscope record` instead of the graph's sources.
     #[arg(long, value_name = "FILE.mcap")]
     recording: Option<PathBuf>,
-    /// Sets another parameter in all runs. May be given again.
+    /// Sets another parameter in all runs; repeatable.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
     given: Given,
-    /// Threads of the pool; without it, one per core.
+    /// Threads of the pool; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Writes a row per value as JSON; of a single parameter.
+    /// Writes a row per value as JSON; only for a single parameter.
     #[arg(long, value_name = "FILE.json")]
     json: Option<PathBuf>,
     /// Writes a row per value as CSV.
     #[arg(long, value_name = "FILE.csv")]
     csv: Option<PathBuf>,
-    /// Draws mean, smallest and largest over the values; of a single parameter.
+    /// Draws mean, minimum and maximum over the values; only for a single parameter.
     #[arg(long, value_name = "FILE.png")]
     plot: Option<PathBuf>,
 }
@@ -191,7 +194,7 @@ fn single(arguments: &Arguments, param: &str, measure: &str) -> Result<End> {
     Ok(conclude(measured, points.len(), sweep.len()))
 }
 
-/// The last line: how many values were measured, of those that ran and those that were wanted.
+/// The last line: number of measured values, of runs and of requested values.
 fn conclude(measured: usize, ran: usize, wanted: usize) -> End {
     let (how, end) = match (measured, ran) {
         (m, _) if m == wanted => ("done", End::Done),
@@ -202,7 +205,7 @@ fn conclude(measured: usize, ran: usize, wanted: usize) -> End {
     end
 }
 
-/// Why nothing can be swept.
+/// A sweep that cannot run.
 #[derive(Debug, thiserror::Error)]
 enum Refusal {
     /// The graph has mistakes.
@@ -225,7 +228,7 @@ impl From<SweepError> for Refusal {
     }
 }
 
-/// What the arguments give to every run.
+/// Settings of all runs.
 struct Common {
     text: GraphText,
     flat: String,
@@ -251,7 +254,7 @@ fn common(arguments: &Arguments) -> Result<Common, Refusal> {
     Ok(Common { text, flat, recording, loader })
 }
 
-/// Checks what the arguments ask for.
+/// Checks the arguments.
 fn prepare(arguments: &Arguments, param: &str, measure: &str) -> Result<Sweep, Refusal> {
     let Common { text, flat, recording, loader } = common(arguments)?;
     let request = Request {
@@ -270,7 +273,7 @@ fn prepare(arguments: &Arguments, param: &str, measure: &str) -> Result<Sweep, R
     Ok(Sweep::new(request, loader)?)
 }
 
-/// The same for several parameters.
+/// Checks the arguments for several parameters.
 fn prepare_study(arguments: &Arguments) -> Result<Study, Refusal> {
     let single = arguments.param.len() == 1;
     let conflict = |option: &str, reason: &str| {

@@ -14,26 +14,28 @@ use panoscope_cli::{End, interrupt};
 /// Arguments of `tune`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Graph file whose controller and simulated arm are tuned. Without it: the arm that ships, with the defaults of `arm_pid` and `arm_sim`.
+    /// Graph file whose controller and simulated arm are tuned. Default: the shipped arm, with the defaults of
+    /// `arm_pid` and `arm_sim`.
     graph: Option<PathBuf>,
-    /// The `arm_pid` of the graph; only needed where it has several.
+    /// The `arm_pid` of the graph; only needed if it has several.
     #[arg(long, value_name = "ID", requires = "graph")]
     node: Option<String>,
-    /// Sets a parameter of the graph before. May be given again.
+    /// Sets a parameter of the graph first; repeatable.
     #[arg(long, value_name = "NODE.PARAM=VALUE", requires = "graph")]
     set: Vec<String>,
     #[command(flatten)]
     given: Given,
-    /// How gains are found: by rules from the limit of stability, which relay feedback finds, or by a search that begins at them.
+    /// Method: rules from the limit of stability found by relay feedback, or a search that starts from them.
     #[arg(long, value_enum, default_value_t = Method::Search)]
     method: Method,
     /// The rule of --method relay.
     #[arg(long, value_enum, default_value_t = RuleName::TyreusLuyben)]
     rule: RuleName,
-    /// Overshoot of a step that the search leaves unpunished, %.
+    /// Overshoot of a step without a penalty in the search, %.
     #[arg(long, default_value_t = tune::Options::default().overshoot_pct)]
     overshoot: f64,
-    /// Share of the tip's own movement that is fed forward; 0 tunes the PID alone, as the thesis has it. Without it what the node has.
+    /// Share of the tip's own movement that is fed forward; 0 tunes the PID alone, as in the thesis. Default: the
+    /// node's value.
     #[arg(long, value_name = "SHARE")]
     feed_forward: Option<f64>,
     /// Draws the responses of P, PI and PID to a step and to a ramp.
@@ -44,7 +46,7 @@ pub struct Arguments {
     json: Option<PathBuf>,
 }
 
-/// See [`Arguments`].
+/// Method of [`Arguments`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Method {
     Relay,

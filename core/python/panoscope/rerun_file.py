@@ -184,9 +184,9 @@ def write(
     rerun = _rerun()
     path = Path(path)
     if path.exists() and path.samefile(recording.path):
-        raise PanoscopeError(f"{path} is the recording itself: name another file")
+        raise PanoscopeError(f"{path} is the recording itself: choose another file")
     if path.exists() and not force:
-        raise PanoscopeError(f"{path} exists: name another one, or replace it with --force (`force=True`)")
+        raise PanoscopeError(f"{path} already exists: choose another one, or replace it with --force (`force=True`)")
     series = {port: recording[port] for port in ports or recording}
     part = path.with_name(path.name + ".part")
     stream = rerun.RecordingStream("panoscope")

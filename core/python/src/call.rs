@@ -1,4 +1,4 @@
-//! The running call of an instance, as Python sees it.
+//! The running call of an instance, for Python.
 
 use std::ptr::null_mut;
 use std::sync::atomic::{AtomicPtr, Ordering};
@@ -11,9 +11,10 @@ use pyo3::prelude::*;
 
 use crate::view::View;
 
-/// What a node may ask of the host while its `process` runs. Outside of that every method raises.
+/// Services of the host during a node's `process`. Outside of it every method raises.
 ///
-/// The pointer is set and cleared by the thread of the call while it holds the interpreter's lock, and every method holds that lock.
+/// The pointer is set and cleared by the thread of the call while it holds the interpreter's lock, and every method
+/// holds that lock.
 #[pyclass(frozen, module = "panoscope._native")]
 pub struct Call {
     running: AtomicPtr<abi::Call>,
@@ -23,7 +24,7 @@ pub struct Call {
 }
 
 impl Call {
-    /// For an instance; no call runs.
+    /// State of an instance without a running call.
     pub fn new(host: &'static Host) -> Self {
         Self { running: AtomicPtr::new(null_mut()), host, views: Mutex::default() }
     }
@@ -33,7 +34,7 @@ impl Call {
         self.running.store(call, Ordering::Release);
     }
 
-    /// Ends it: frames that somebody still has a view of are kept.
+    /// Ends a call; frames with remaining views are retained.
     pub fn end(&self, _locked: Python<'_>) {
         for view in self.views.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
             // SAFETY: a live object, under the interpreter's lock.
@@ -57,7 +58,7 @@ impl Call {
         running.ok_or_else(|| PyRuntimeError::new_err("this works only while the node's `process` runs"))
     }
 
-    /// Makes an output the first input frame that fits.
+    /// Forwards the first matching input frame as an output.
     fn forward_one(&self, output: u32, fits: impl Fn(&Frame) -> bool) -> PyResult<bool> {
         let call = self.running()?;
         let inputs = match call.inputs_len {
@@ -114,7 +115,7 @@ impl Call {
         Ok(frame.is_some_and(|frame| !frame.is_empty() && frame.data.addr() == address && frame.len == len))
     }
 
-    /// Makes an output the input frame at `address`, if one of this description is there. Nothing is copied.
+    /// Forwards the input frame at `address` with this description, if there is one, as an output. Nothing is copied.
     fn forward(
         &self,
         output: u32,
@@ -130,7 +131,7 @@ impl Call {
         })
     }
 
-    /// Makes an output the input frame of a view.
+    /// Forwards the input frame of a view as an output.
     fn forward_view(&self, output: u32, view: &View) -> PyResult<bool> {
         let address = view.address();
         self.forward_one(output, |frame| frame.data.addr() == address)
@@ -157,7 +158,7 @@ impl Call {
         Ok(self.host.clock_ns.map_or(0, |clock| unsafe { clock(call.call) }))
     }
 
-    /// Age of the light of an input, by its position among the frames of the call; infinite where it is unknown.
+    /// Age of the light of an input, by its position among the frames of the call; infinite if unknown.
     fn age_ns(&self, input: u32) -> PyResult<f64> {
         let call = self.running()?;
         // SAFETY: the handle of the running call.
@@ -165,7 +166,7 @@ impl Call {
         Ok(if age_ns == i64::MAX { f64::NAN } else { age_ns as f64 })
     }
 
-    /// A named number of the node.
+    /// Reports a named number of the node.
     fn metric(&self, name: &str, value: f64) -> PyResult<()> {
         let call = self.running()?;
         if let Some(metric) = self.host.metric {
@@ -175,7 +176,7 @@ impl Call {
         Ok(())
     }
 
-    /// A line for the host's log.
+    /// Writes a line to the host's log.
     fn log(&self, level: u32, message: &str) -> PyResult<()> {
         let call = self.running()?;
         if let Some(log) = self.host.log {

@@ -1,4 +1,4 @@
-//! The node classes that descriptors were made of.
+//! The node classes from which descriptors were made.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -10,7 +10,7 @@ use pyo3::types::PyAny;
 /// The classes of the descriptors, by address.
 static CLASSES: Mutex<Option<HashMap<usize, Py<PyAny>>>> = Mutex::new(None);
 
-/// The `panoscope.nodes.NodeType` that a descriptor was made of.
+/// The `panoscope.nodes.NodeType` from which a descriptor was made.
 pub fn class_of(py: Python<'_>, node_type: &'static NodeType) -> Option<Py<PyAny>> {
     let classes = CLASSES.lock().unwrap_or_else(PoisonError::into_inner);
     Some(classes.as_ref()?.get(&std::ptr::from_ref(node_type).addr())?.clone_ref(py))

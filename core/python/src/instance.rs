@@ -27,8 +27,8 @@ thread_local! {
     static IS_KNOWN: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Runs `work` with the interpreter's lock. The interpreter keeps what it knows of the thread until the process ends, so that thread-local data of
-/// Python survives from call to call.
+/// Runs `work` with the interpreter's lock. The interpreter's thread state is kept until the process ends, so that
+/// Python's thread-local data survives between calls.
 pub fn attach<R>(work: impl FnOnce(Python<'_>) -> R) -> R {
     if !IS_KNOWN.replace(true) {
         // SAFETY: plain calls of the interpreter, which `serve` runs in: the first makes this thread known and takes the lock, the second
@@ -48,7 +48,7 @@ fn fail(host: &Host, call: *mut c_void, words: &str) {
     }
 }
 
-/// Runs `work`; what it raises becomes the words of a fault.
+/// Runs `work`; an exception becomes the message of a fault.
 fn guarded(host: &Host, call: *mut c_void, work: impl FnOnce(Python<'_>) -> PyResult<()>) -> Status {
     let run = || {
         attach(|py| match work(py) {
@@ -76,7 +76,7 @@ unsafe fn slice<'a, T>(first: *const T, len: usize) -> &'a [T] {
 /// The values of parameters as a tuple.
 ///
 /// # Safety
-/// `params` has `len` values that live for the length of this function.
+/// `params` has `len` values that stay valid during this call.
 unsafe fn values<'py>(py: Python<'py>, params: *const ParamValue, len: usize) -> PyResult<Bound<'py, PyTuple>> {
     // SAFETY: the caller's promise.
     let params = unsafe { slice(params, len) };
@@ -94,12 +94,12 @@ unsafe fn values<'py>(py: Python<'py>, params: *const ParamValue, len: usize) ->
     PyTuple::new(py, params.iter().map(value).collect::<PyResult<Vec<_>>>()?)
 }
 
-/// [`abi::NodeType::open`].
+/// The descriptor's [`abi::NodeType::open`].
 pub unsafe extern "C" fn open(call: *mut abi::OpenCall, instance: *mut *mut c_void) -> Status {
     // SAFETY: the contract: the call and what it points to live until this returns; the table lives until the process ends.
     let (call, host) = unsafe { (&*call, &*(*call).host) };
     let Some(node_type) = panoscope_host::isolate::child::opening() else {
-        fail(host, call.call, "a node in Python runs in a process of its own only");
+        fail(host, call.call, "a node in Python must run in a separate process");
         return abi::STATUS_INVALID;
     };
     guarded(host, call.call, |py| {
@@ -120,7 +120,7 @@ pub unsafe extern "C" fn open(call: *mut abi::OpenCall, instance: *mut *mut c_vo
     })
 }
 
-/// [`abi::NodeType::process`].
+/// The descriptor's [`abi::NodeType::process`].
 pub unsafe extern "C" fn process(instance: *mut c_void, call: *mut abi::Call) -> Status {
     // SAFETY: the contract: an instance of `open`, which only this thread uses, and a call that lives until this returns.
     let (this, running) = unsafe { (&mut *instance.cast::<Instance>(), &*call) };
@@ -164,7 +164,7 @@ fn inputs<'py>(py: Python<'py>, shared: &Call, call: &abi::Call) -> PyResult<Bou
     PyTuple::new(py, ranges.iter().map(port).collect::<PyResult<Vec<_>>>()?)
 }
 
-/// [`abi::NodeType::close`].
+/// The descriptor's [`abi::NodeType::close`].
 pub unsafe extern "C" fn close(instance: *mut c_void) {
     // SAFETY: the contract: an instance of `open`, closed once.
     let this = unsafe { Box::from_raw(instance.cast::<Instance>()) };
@@ -180,7 +180,7 @@ pub unsafe extern "C" fn close(instance: *mut c_void) {
     let _ = catch_unwind(AssertUnwindSafe(run));
 }
 
-/// [`abi::NodeType::save_state`].
+/// The descriptor's [`abi::NodeType::save_state`].
 pub unsafe extern "C" fn save_state(instance: *mut c_void, host: *const Host, sink: *mut c_void) -> Status {
     // SAFETY: the contract: an instance of `open`, and a table that lives until this returns.
     let (this, host) = unsafe { (&*instance.cast::<Instance>(), &*host) };
@@ -201,7 +201,7 @@ pub unsafe extern "C" fn save_state(instance: *mut c_void, host: *const Host, si
     }
 }
 
-/// [`abi::NodeType::load_state`].
+/// The descriptor's [`abi::NodeType::load_state`].
 pub unsafe extern "C" fn load_state(instance: *mut c_void, bytes: *const u8, len: usize) -> Status {
     // SAFETY: the contract: an instance of `open`, and `len` bytes.
     let (this, bytes) = unsafe { (&*instance.cast::<Instance>(), slice(bytes, len)) };

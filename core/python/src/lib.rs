@@ -1,9 +1,9 @@
-//! The native part of the Python package `panoscope`: runs node classes in the process of isolated nodes, and graphs in a process of Python's
-//! own ([`host`]).
+//! The native part of the Python package `panoscope`: runs node classes in the process of isolated nodes, and graphs in
+//! a Python process ([`host`]).
 //!
-//! The host starts `python -m panoscope.child GROUP`, whose main thread serves the host ([`serve`]). The file of a plugin is run there once; its
-//! node classes become descriptors of the plugin interface ([`describe`]), whose functions call Python ([`instance`]). Frames reach Python as
-//! arrays over the host's shared memory ([`view`]).
+//! The host starts `python -m panoscope.child GROUP`, whose main thread serves the host ([`serve`]). The file of a
+//! plugin is run there once; its node classes become descriptors of the plugin interface ([`describe`]), whose
+//! functions call Python ([`instance`]). Frames reach Python as arrays over the host's shared memory ([`view`]).
 #![allow(unsafe_code)]
 
 mod call;
@@ -25,7 +25,7 @@ use pyo3::types::PyBytes;
 /// Module of the package that loads files and runs instances.
 const RUNNER: &str = "panoscope.runner";
 
-/// Serves the host until it is gone; does not return.
+/// Serves the host until it closes the connection; does not return.
 #[pyfunction]
 fn serve(py: Python<'_>) {
     py.detach(|| -> Infallible { panoscope_host::isolate::child::serve(load) });
@@ -46,7 +46,7 @@ fn load(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, LoadError> 
     })
 }
 
-/// An exception with its traceback, in words.
+/// An exception with its traceback, as text.
 fn explain(py: Python<'_>, error: &PyErr) -> String {
     let explained =
         || -> PyResult<String> { py.import(RUNNER)?.call_method1("explain", (error.value(py),))?.extract() };

@@ -1,4 +1,4 @@
-//! Frames as Python sees them.
+//! Frames for Python.
 
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,7 +24,7 @@ pub struct View {
     stride_bytes: u32,
 }
 
-/// Who has the bytes.
+/// Owner of the bytes.
 enum Memory {
     /// A frame of a call of a node.
     Lent {
@@ -32,14 +32,14 @@ enum Memory {
         is_writable: bool,
         buffer: BufferId,
         host: &'static Host,
-        /// Kept beyond its call: given back when the view ends.
+        /// Whether it is retained beyond its call; released when the view ends.
         is_retained: AtomicBool,
     },
-    /// The view itself.
+    /// Owned by the view.
     Own(Bytes),
 }
 
-/// Bytes of a view that arrays may write. Nothing but arrays reads them.
+/// Bytes of a view that arrays may write. Only arrays read them.
 struct Bytes(NonNull<[u8]>);
 
 // SAFETY: the bytes belong to this value alone; arrays read and write them under the interpreter's lock, as all memory of arrays.
@@ -78,7 +78,7 @@ impl View {
         Self { memory, len, format, width, height, stride_bytes }
     }
 
-    /// Keeps the frame until the view ends. Called before the call ends for a view that somebody still has.
+    /// Keeps the frame until the view ends. Called before the call ends for each remaining view.
     pub fn retain(&self) {
         if let Memory::Lent { buffer, host, is_retained, .. } = &self.memory
             && let Some(retain) = host.retain
@@ -89,7 +89,7 @@ impl View {
         }
     }
 
-    /// Where the bytes are.
+    /// Address of the bytes.
     pub fn address(&self) -> usize {
         match &self.memory {
             Memory::Lent { address, .. } => *address,
@@ -127,7 +127,7 @@ impl View {
         Ok(interface)
     }
 
-    /// Fingerprint of the bytes as they are now, as recordings and `panoscope compare` have it. Only of packets that a run or a recording gave.
+    /// Fingerprint of the bytes as in recordings and `panoscope compare`. Only for packets of a run or a recording.
     fn fingerprint(&self) -> Option<u64> {
         let Memory::Own(bytes) = &self.memory else { return None };
         let Self { format, width, height, stride_bytes, .. } = *self;

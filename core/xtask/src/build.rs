@@ -1,4 +1,4 @@
-//! Builds the program and its plugins and lays them out as they are installed: the binary beside `plugins/`.
+//! Builds the program and its plugins with the layout of an installation: the binary next to `plugins/`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
@@ -16,46 +16,48 @@ use crate::workspace::{Plugin, Workspace};
 /// The package of the `panoscope` command.
 const PROGRAM_PACKAGE: &str = "panoscope-cli";
 const PROGRAM: &str = "panoscope";
-/// The program that `panoscope` hands commands such as `eval` to, which the demo does not need; package and program have one name.
+/// Program that runs commands of `panoscope` such as `eval`; the demo does not need it. Package and program have the
+/// same name.
 const LAB: &str = "panoscope-lab";
-/// The windows that `panoscope edit` and `panoscope theatre` start; packages and programs have one name.
+/// Programs of the windows that `panoscope edit` and `panoscope theatre` start. Packages and programs have the same
+/// names.
 const EDITOR: &str = "panoscope-editor";
 const THEATRE: &str = "panoscope-theatre";
-/// The process that guards an arm, which `arm_serial` and `arm_ur` start; it is built beside the program.
+/// Process that guards an arm, started by `arm_serial` and `arm_ur`; it is built next to the program.
 const GUARD_PACKAGE: &str = "panoscope-arm-guard";
 const GUARD: &str = "panoscope-arm";
-/// The program that links machines, which `panoscope serve` and graphs with `on` start; it is built beside the program.
+/// Program that links machines, started by `panoscope serve` and graphs with `on`; it is built next to the program.
 const MACHINE_PACKAGE: &str = "panoscope-remote";
 const MACHINE: &str = "panoscope-machine";
-/// The Python package: the folder of its crate, and what Python calls its native part.
+/// The Python package: the folder of its crate, and the module name of its native part.
 const PYTHON: &str = "core/python";
 const PYTHON_PACKAGE: &str = "panoscope-python";
 const NATIVE: &str = "_native.abi3.so";
-/// What the program is not complete without, beside the plugins.
+/// Packages of a complete program, besides the plugins.
 const PRODUCT: [&str; 5] = [PROGRAM_PACKAGE, LAB, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
-/// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
+/// File extensions of the Python package: code, native part, types and the marker for types.
 pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
 /// Arguments for cargo that unite the features of external packages, so that every build uses the same ones.
 pub const FEATURES: [&str; 4] = ["--package", "panoscope-features", REST[0], REST[1]];
-/// The same where the whole workspace is built.
+/// Additional arguments if the whole workspace is built.
 pub const REST: [&str; 2] = ["--features", "panoscope-features/rest"];
-/// Plugins that need none of the packages which [`REST`] adds: those of the demo.
+/// Plugins that need no packages of [`REST`]: those of the demo.
 const LIGHT: [&str; 3] = ["phantom", "sinks", "stitch"];
-/// Folder beside the program for plugins that only tests use.
+/// Folder next to the program for plugins that only tests use.
 const TEST_PLUGIN_DIR: &str = "test_plugins";
 
-/// Cargo's profiles as far as they are used here.
+/// Cargo profiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Profile {
     Dev,
     Release,
 }
 
-/// What a build made.
+/// Results of a build.
 #[derive(Debug)]
 pub struct Built {
     pub program: PathBuf,
-    /// Beside the program; holds one shared library per plugin that ships, and a folder with the files that come with it.
+    /// Next to the program; has one shared library per shipped plugin, and a folder with its files.
     pub plugin_dir: PathBuf,
 }
 
@@ -63,7 +65,8 @@ pub struct Built {
 #[derive(Debug)]
 pub struct BuiltForTests {
     pub built: Built,
-    /// Beside the program; one shared library per plugin of `tests/plugins`. The program does not search this folder by itself.
+    /// Next to the program; has one shared library per plugin of `tests/plugins`. The program does not search this
+    /// folder by default.
     pub test_plugin_dir: PathBuf,
 }
 
@@ -88,42 +91,43 @@ pub struct Windows {
     pub theatre: PathBuf,
 }
 
-/// Builds the windows, beside the program.
+/// Builds the windows, next to the program.
 ///
 /// # Errors
 /// The build fails; cargo prints why.
 pub fn build_windows(workspace: &Workspace, profile: Profile) -> Result<Windows> {
     let artifacts = compile(workspace, profile, &[EDITOR, THEATRE])?;
-    let editor = artifacts.editor.with_context(|| format!("{EDITOR} makes no program `{EDITOR}`"))?;
-    let theatre = artifacts.theatre.with_context(|| format!("{THEATRE} makes no program `{THEATRE}`"))?;
+    let editor = artifacts.editor.with_context(|| format!("{EDITOR} produced no program `{EDITOR}`"))?;
+    let theatre = artifacts.theatre.with_context(|| format!("{THEATRE} produced no program `{THEATRE}`"))?;
     Ok(Windows { editor, theatre })
 }
 
-/// Builds the program, the programs it starts, the Python package and the plugins that ship. Leaves out the windows, which take longest to build;
-/// the benches do not need them.
+/// Builds the program, the programs it starts, the Python package and the shipped plugins, but not the windows, which
+/// take longest to build; the benches do not need them.
 ///
 /// # Errors
-/// The build fails (cargo prints why), or a plugin's crate makes no shared library.
+/// The build fails (cargo prints why), or a plugin's crate produces no shared library.
 pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
     let plugins = workspace.plugins.iter().map(|plugin| plugin.package.as_str());
     let packages: Vec<&str> = PRODUCT.into_iter().chain(plugins).collect();
     compile(workspace, profile, &packages)?.lay_out_product(workspace)
 }
 
-/// What a graph needs of a build.
+/// Parts of a build that a graph needs.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Needs {
     /// Names of plugins.
     pub plugins: BTreeSet<String>,
-    /// An arm with a guard.
+    /// Whether it has an arm with a guard.
     pub guard: bool,
-    /// Another machine.
+    /// Whether it uses another machine.
     pub machine: bool,
-    /// Nodes in Python.
+    /// Whether it has nodes in Python.
     pub python: bool,
 }
 
-/// Builds the program and what a graph needs, in the development profile. What was built before for other graphs stays.
+/// Builds the program and the parts that a graph needs, in the development profile. Earlier builds for other graphs
+/// stay.
 ///
 /// # Errors
 /// See [`build`].
@@ -147,12 +151,12 @@ pub fn build_for_graph(workspace: &Workspace, needs: &Needs) -> Result<Built> {
     Ok(built)
 }
 
-/// What [`build_for_tests`] builds.
+/// Extent of [`build_for_tests`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
-    /// What tests of the packages below the program need.
+    /// For tests of packages that do not start the program: plugins.
     Plugins,
-    /// What tests of single packages need.
+    /// For tests of single packages: the product.
     Product,
     /// Everything: libraries, programs, tests and benches of all packages, with lints as errors.
     Workspace,
@@ -188,7 +192,7 @@ pub fn build_for_tests(workspace: &Workspace, extent: Extent) -> Result<BuiltFor
     Ok(BuiltForTests { built, test_plugin_dir })
 }
 
-/// Compiles everything with lints as errors, and links nothing that a later build cannot use.
+/// Compiles everything with lints as errors, without linking anything that a later build cannot use.
 ///
 /// # Errors
 /// A lint or the compiler found something; cargo prints what.
@@ -201,7 +205,7 @@ fn compile(workspace: &Workspace, profile: Profile, packages: &[&str]) -> Result
     compile_with(workspace, profile, &FEATURES, packages)
 }
 
-/// Compiles packages, with external ones as these arguments say.
+/// Compiles packages, with these arguments for external packages.
 fn compile_with(workspace: &Workspace, profile: Profile, features: &[&str], packages: &[&str]) -> Result<Artifacts> {
     let mut cargo = match profile {
         Profile::Dev => workspace.cargo_dev(),
@@ -212,7 +216,7 @@ fn compile_with(workspace: &Workspace, profile: Profile, features: &[&str], pack
     finish(&mut cargo, profile)
 }
 
-/// Runs cargo and takes what it made.
+/// Runs cargo and collects its artifacts.
 fn finish(cargo: &mut Command, profile: Profile) -> Result<Artifacts> {
     if profile == Profile::Release {
         cargo.arg("--release");
@@ -223,7 +227,7 @@ fn finish(cargo: &mut Command, profile: Profile) -> Result<Artifacts> {
     Ok(artifacts)
 }
 
-/// What cargo reported to have made (or found fresh).
+/// Artifacts that cargo reported as built or fresh.
 #[derive(Debug, Default)]
 struct Artifacts {
     program: Option<PathBuf>,
@@ -236,11 +240,11 @@ struct Artifacts {
 impl Artifacts {
     fn built(&self) -> Result<Built> {
         let program =
-            self.program.clone().with_context(|| format!("{PROGRAM_PACKAGE} makes no program `{PROGRAM}`"))?;
+            self.program.clone().with_context(|| format!("{PROGRAM_PACKAGE} produced no program `{PROGRAM}`"))?;
         Ok(Built { plugin_dir: program.with_file_name("plugins"), program })
     }
 
-    /// Puts the plugins that ship, and their models, beside the program.
+    /// Copies the shipped plugins and their models next to the program.
     fn lay_out_product(&self, workspace: &Workspace) -> Result<Built> {
         let built = self.built()?;
         lay_out(&workspace.plugins, &self.libraries, &built.plugin_dir)?;
@@ -249,16 +253,16 @@ impl Artifacts {
         Ok(built)
     }
 
-    /// Puts the Python package where the program looks for it.
+    /// Copies the Python package to the folder that the program searches.
     fn lay_out_python(&self, workspace: &Workspace, package: &Path) -> Result<()> {
         let folder = workspace.root.join(PYTHON);
         let native =
-            self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} makes no shared library"))?;
+            self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} produced no shared library"))?;
         place_files(&folder.join("panoscope"), package, &PACKAGE_FILES, Means::Link)?;
         place(native, &package.join(NATIVE), Means::Link)
     }
 
-    /// Takes one line of cargo's output; false when it is none of cargo's messages.
+    /// Reads one line of cargo's output; false if it is not a message of cargo.
     fn read(&mut self, line: &str) -> bool {
         let Ok(message) = serde_json::from_str::<Value>(line) else { return false };
         if message["reason"] != "compiler-artifact" {
@@ -290,11 +294,11 @@ impl Artifacts {
     }
 }
 
-/// Puts a plugin's library into a folder and returns the name of the file.
+/// Places a plugin's library in a folder and returns its file name.
 fn place_plugin(plugin: &Plugin, libraries: &BTreeMap<PathBuf, PathBuf>, plugin_dir: &Path) -> Result<String> {
     let Some(library) = libraries.get(&plugin.folder) else {
         bail!(
-            "{} makes no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
+            "{} produced no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
             plugin.folder.display()
         );
     };
@@ -304,7 +308,7 @@ fn place_plugin(plugin: &Plugin, libraries: &BTreeMap<PathBuf, PathBuf>, plugin_
     Ok(name)
 }
 
-/// Makes `plugin_dir` hold the plugins' libraries and nothing else.
+/// Fills `plugin_dir` with the plugins' libraries and removes other files.
 fn lay_out(plugins: &[Plugin], libraries: &BTreeMap<PathBuf, PathBuf>, plugin_dir: &Path) -> Result<()> {
     fs::create_dir_all(plugin_dir).with_context(|| format!("cannot make {}", plugin_dir.display()))?;
     let mut kept = Vec::new();
@@ -321,12 +325,13 @@ fn lay_out(plugins: &[Plugin], libraries: &BTreeMap<PathBuf, PathBuf>, plugin_di
     Ok(())
 }
 
-/// The Python package of a build, beside its program.
+/// The Python package of a build, next to its program.
 pub fn python_package(program: &Path) -> PathBuf {
     program.with_file_name("python").join("panoscope")
 }
 
-/// Puts the models that come with plugins where the program looks for them: `NAME/models` beside the library of plugin NAME.
+/// Copies the models of plugins to the folders that the program searches: `NAME/models` next to the library of plugin
+/// NAME.
 pub fn lay_out_models(workspace: &Workspace, plugin_dir: &Path, means: Means) -> Result<()> {
     for plugin in &workspace.plugins {
         let models = plugin.folder.join("models");
@@ -337,7 +342,7 @@ pub fn lay_out_models(workspace: &Workspace, plugin_dir: &Path, means: Means) ->
     Ok(())
 }
 
-/// Puts the files of a folder that have one of these endings into another; what runs have written beside them stays behind.
+/// Copies the files with one of these extensions to another folder, without other files such as results of runs.
 pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Result<()> {
     fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
     for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))?.flatten() {
@@ -349,15 +354,15 @@ pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Re
     Ok(())
 }
 
-/// How a file gets to its place.
+/// Way of placing a file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Means {
-    /// A hard link where the file system allows, else a copy.
+    /// A hard link if the file system allows it, else a copy.
     Link,
     Copy,
 }
 
-/// Puts `from` at `to` in one step, so that no reader ever opens half a file.
+/// Places `from` at `to` atomically, so that no reader opens a partial file.
 pub fn place(from: &Path, to: &Path, means: Means) -> Result<()> {
     let mut part = to.as_os_str().to_owned();
     part.push(format!(".{}.part", std::process::id()));
@@ -372,17 +377,18 @@ pub fn place(from: &Path, to: &Path, means: Means) -> Result<()> {
     Ok(())
 }
 
-/// Name of the program's file.
+/// File name of the program.
 pub fn program_name() -> String {
     format!("{PROGRAM}{EXE_SUFFIX}")
 }
 
-/// Names of the files of the programs that other programs start: the commands of the lab, the arm's guard, and what links machines.
+/// File names of the programs that other programs start: the commands of the lab, the arm's guard, and the program that
+/// links machines.
 pub fn helper_names() -> [String; 3] {
     [LAB, GUARD, MACHINE].map(|name| format!("{name}{EXE_SUFFIX}"))
 }
 
-/// Names of the files of the editor and the theatre.
+/// File names of the editor and the theatre.
 pub fn window_names() -> [String; 2] {
     [EDITOR, THEATRE].map(|name| format!("{name}{EXE_SUFFIX}"))
 }
@@ -452,11 +458,11 @@ mod tests {
         // Another folder of the same name is not its crate.
         let libraries = BTreeMap::from([(PathBuf::from("/r/tests/plugins/stitch"), PathBuf::from("/t/other.so"))]);
         let error = lay_out(&[stitch()], &libraries, &folder).unwrap_err();
-        assert!(error.to_string().contains("/r/plugins/stitch makes no shared library"), "{error}");
+        assert!(error.to_string().contains("/r/plugins/stitch produced no shared library"), "{error}");
         fs::remove_dir_all(&folder).unwrap();
     }
 
-    /// External packages with their features, as cargo resolves them for some packages of the workspace.
+    /// External packages with their resolved features, for some packages of the workspace.
     fn features(workspace: &Workspace, packages: &[&str], edges: &str) -> BTreeSet<String> {
         let mut cargo = workspace.cargo();
         cargo.args(["tree", "--offline", "--prefix", "none", "--format", "{p} {f}", "--edges", edges]).args(packages);

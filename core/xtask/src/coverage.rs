@@ -14,15 +14,16 @@ use crate::workspace::Workspace;
 /// The test that replays the corpora, and its package.
 const PACKAGE: &str = "panoscope-fuzz-targets";
 const TEST: &str = "corpora";
-/// Least share of the lines of a parser, percent.
+/// Minimum line coverage of a parser, percent.
 const MIN_PERCENT: f64 = 85.0;
 
 /// Lines that belong to a parser.
 struct Source {
     /// A file, or a folder that ends with a slash.
     path: &'static str,
-    /// Names of the functions that parse; empty where all of the file does. A file may also write, or hold code that needs a loaded plugin, an open
-    /// device or a person: bytes from outside never reach that, so it says nothing about how well the parser is tested.
+    /// Names of the functions that parse; empty if the whole file does. Code for writing, or code that needs a loaded
+    /// plugin, an open device or a person, receives no bytes from outside, so its coverage does not show how well the
+    /// parser is tested.
     only: &'static [&'static str],
 }
 
@@ -36,7 +37,7 @@ const fn functions(path: &'static str, only: &'static [&'static str]) -> Source 
     Source { path, only }
 }
 
-/// Parsers of foreign bytes, and their sources.
+/// Parsers of untrusted bytes, and their sources.
 const PARSERS: &[(&str, &[Source])] = &[
     (
         "graph",
@@ -300,10 +301,10 @@ const PARSERS: &[(&str, &[Source])] = &[
     ),
 ];
 
-/// How often each line of a file with code was reached, by its number.
+/// Number of executions of each line with code, by line number.
 type Counts = BTreeMap<u32, u64>;
 
-/// Cargo and the other tools of the nightly toolchain, without what `cargo run` set for this program.
+/// Cargo and the other tools of the nightly toolchain, without the environment that `cargo run` set for this program.
 pub fn nightly(program: &str) -> Command {
     let mut command = Command::new(program);
     for name in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTDOC"] {
@@ -313,10 +314,10 @@ pub fn nightly(program: &str) -> Command {
     command
 }
 
-/// Replays the corpora and prints the share of the lines of each parser that they reach; with `lists_missed` also the lines that they do not
-/// reach. `work` is a folder for what is built. Returns whether all parsers have [`MIN_PERCENT`].
+/// Replays the corpora and prints the share of the lines of each parser that they reach; with `lists_missed` also the
+/// lines that they do not reach. `work` is a folder for builds. Returns whether all parsers have [`MIN_PERCENT`].
 ///
-/// Counted are the lines of [`PARSERS`], where a file is named as a whole or by its functions that parse. Lines of tests do not count.
+/// Only the lines of [`PARSERS`] count, without lines of tests.
 pub fn coverage(workspace: &Workspace, work: &Path, lists_missed: bool) -> Result<bool> {
     let tools = llvm_tools()?;
     let (build, profiles) = (work.join("coverage"), work.join("profiles"));
@@ -378,16 +379,17 @@ pub fn coverage(workspace: &Workspace, work: &Path, lists_missed: bool) -> Resul
     Ok(complete)
 }
 
-/// Folder of `llvm-profdata` and `llvm-cov`, of the compiler that writes the profiles.
+/// Folder of `llvm-profdata` and `llvm-cov`, of the nightly toolchain.
 fn llvm_tools() -> Result<PathBuf> {
-    let sysroot = process::capture(nightly("rustc").args(["--print", "sysroot"]))
-        .context("coverage needs the nightly toolchain: `rustup toolchain install nightly --component llvm-tools`")?;
+    let sysroot = process::capture(nightly("rustc").args(["--print", "sysroot"])).context(
+        "coverage needs the nightly toolchain: run `rustup toolchain install nightly --component llvm-tools`",
+    )?;
     let machines = Path::new(sysroot.trim()).join("lib/rustlib");
     let folders = std::fs::read_dir(&machines).with_context(|| format!("cannot read {}", machines.display()))?;
     let mut folders = folders.flatten().map(|entry| entry.path().join("bin"));
     folders
         .find(|folder| folder.join("llvm-cov").is_file() && folder.join("llvm-profdata").is_file())
-        .context("coverage needs LLVM's tools: `rustup component add llvm-tools --toolchain nightly`")
+        .context("coverage needs LLVM's tools: run `rustup component add llvm-tools --toolchain nightly`")
 }
 
 /// The program in the messages of `cargo test --no-run`.
@@ -425,7 +427,7 @@ fn counts_of(report: &str, root: &Path) -> BTreeMap<String, Counts> {
     files
 }
 
-/// The counts of those lines that belong to functions with these names, of all lines where there are no names.
+/// The counts of the lines of functions with these names; of all lines if there are no names.
 fn chosen(counts: &Counts, text: &str, only: &[&str]) -> Result<Counts> {
     if only.is_empty() {
         return Ok(counts.clone());
@@ -442,7 +444,8 @@ fn chosen(counts: &Counts, text: &str, only: &[&str]) -> Result<Counts> {
     Ok(counts.iter().filter(|(line, _)| is_inside(line)).map(|(line, count)| (*line, *count)).collect())
 }
 
-/// Line numbers of all functions of a name, in source text as rustfmt lays it out: a function ends with a brace as far left as it begins.
+/// Line numbers of all functions of a name, in source text as rustfmt lays it out: a function ends with a brace at its
+/// own indentation.
 fn functions_named(text: &str, name: &str) -> Vec<RangeInclusive<u32>> {
     let lines: Vec<&str> = text.lines().take_while(|line| *line != "mod tests {").collect();
     let begins = |line: &str| {
@@ -468,7 +471,7 @@ fn functions_named(text: &str, name: &str) -> Vec<RangeInclusive<u32>> {
     found
 }
 
-/// Lines that were reached, and all.
+/// Number of reached lines, and of all lines.
 fn share(counts: &Counts) -> (usize, usize) {
     (counts.values().filter(|count| **count > 0).count(), counts.len())
 }
@@ -489,7 +492,7 @@ fn missed(counts: &Counts) -> String {
     words.collect::<Vec<_>>().join(", ")
 }
 
-/// A path without `..`: a source that is included from elsewhere has some.
+/// A path without `..`: sources included from other folders have some.
 fn normal(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {

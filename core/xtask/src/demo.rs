@@ -1,4 +1,4 @@
-//! `cargo xtask demo`: from nothing to a panorama, and where it is.
+//! `cargo xtask demo`: builds, runs a graph and prints the path of the panorama.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,10 +18,11 @@ use crate::workspace::Workspace;
 /// Ten seconds of the phantom's 30 fps.
 const FRAMES: &str = "300";
 
-/// Parameters of sinks that name where they write.
+/// Parameters of sinks that are output paths.
 const PATH_PARAMS: [&str; 3] = ["path", "folder", "pattern"];
 
-/// Builds, runs the graph for a bounded number of frames, and prints what it wrote. With a screen the editor then shows the graph running.
+/// Builds, runs the graph for a bounded number of frames, and prints what it wrote. With a screen the editor then shows
+/// the graph running.
 ///
 /// # Errors
 /// The build or the run fails, a node had a fault, or an output is missing, empty or older than this run.
@@ -109,14 +110,15 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// What a graph and its parts need, and whether they find instruments by a network. Parts are relative to `folder`.
+/// Parts of a build that a graph and its parts need, and whether they find instruments by a network. Parts are relative
+/// to `folder`.
 fn needs(text: &str, folder: &Path) -> (Needs, bool) {
     let mut needs = Needs::default();
     let finds_instruments = add_needs(text, folder, 16, &mut needs);
     (needs, finds_instruments)
 }
 
-/// The same for parts of parts up to this depth: one that uses itself is an error that the run reports.
+/// As [`needs`], up to this depth: the run reports a part that uses itself.
 fn add_needs(text: &str, folder: &Path, depth: usize, needs: &mut Needs) -> bool {
     let table: Option<toml::Table> = text.parse().ok();
     let Some(table) = table else { return false };
@@ -143,7 +145,7 @@ fn add_needs(text: &str, folder: &Path, depth: usize, needs: &mut Needs) -> bool
     finds_instruments
 }
 
-/// What a sink of the graph is to write.
+/// An output file of a sink.
 #[derive(Debug, PartialEq)]
 struct Output {
     node: String,
@@ -185,7 +187,7 @@ fn values_of<'a>(args: &'a [String], name: &str) -> impl Iterator<Item = &'a str
     })
 }
 
-/// The value that `--set node.param=value` gives a parameter.
+/// The value that `--set node.param=value` sets for a parameter.
 fn set_value<'a>(args: &'a [String], node: &str, param: &str) -> Option<&'a str> {
     let value = values_of(args, "--set")
         .filter_map(|set| set.split_once('='))
@@ -201,8 +203,8 @@ struct Written {
     bytes: u64,
 }
 
-/// The files at `path` that were written since `start`: the file itself, those in it when it is a folder, or those
-/// it is a pattern of (`still_{}.png`, or `still.png` for `still_000042.png`).
+/// The files at `path` that were written since `start`: the file itself, those in it when it is a folder, or those that
+/// match it as a pattern (`still_{}.png`, or `still.png` for `still_000042.png`).
 fn fresh_files(path: &Path, start: SystemTime) -> Vec<Written> {
     let fresh = |path: PathBuf| {
         let file = path.metadata().ok().filter(fs::Metadata::is_file)?;
@@ -231,7 +233,7 @@ fn fresh_files(path: &Path, start: SystemTime) -> Vec<Written> {
     files
 }
 
-/// A path as seen from where the command was given.
+/// A path relative to the folder in which the command was called.
 fn display(path: &Path) -> String {
     let full = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let here = std::env::current_dir().ok().and_then(|here| full.strip_prefix(here).map(Path::to_owned).ok());

@@ -1,4 +1,5 @@
-//! `cargo xtask fuzz`: runs the fuzz targets of `tests/fuzz` with cargo-fuzz and the nightly toolchain, and prints what they found.
+//! `cargo xtask fuzz`: runs the fuzz targets of `tests/fuzz` with cargo-fuzz and the nightly toolchain, and prints
+//! their findings.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,30 +11,31 @@ use crate::coverage::{self, nightly};
 use crate::process;
 use crate::workspace::Workspace;
 
-/// Time for each target without `--seconds`.
+/// Default time for each target, s.
 const SECONDS: u64 = 60;
-/// Longest time for one input, seconds.
+/// Maximum time for one input, s.
 const TIMEOUT_S: u32 = 20;
-/// Largest single allocation and largest memory of the process, MB. Pictures may expand what they packed.
+/// Maximum size of an allocation and of the memory of the process, MB. Compressed images need much more memory than
+/// bytes.
 const MALLOC_MB: u32 = 64;
 const MALLOC_PICTURE_MB: u32 = 600;
 const RSS_MB: u32 = 2048;
-/// Longest input that the fuzzer makes, bytes.
+/// Maximum length of an input, bytes.
 const MAX_LEN: u32 = 16 << 10;
-/// Maximum number of files and bytes of a corpus that is kept in the repository.
+/// Maximum number of files and bytes of a corpus in the repository.
 const MAX_FILES: usize = 60;
 const MAX_BYTES: u64 = 100 << 10;
 
-/// What the command line asks for.
+/// Arguments of the command.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Request {
     target: Option<String>,
     seconds: u64,
-    /// Put a minimized selection of what was found into the repository.
+    /// Copies a minimized selection of the new inputs into the repository.
     keep: bool,
-    /// Show the share of the parsers' lines that the corpora reach, and fuzz nothing.
+    /// Only shows the share of the parsers' lines that the corpora reach.
     coverage: bool,
-    /// With `coverage`: also the lines that they do not reach.
+    /// With `coverage`: also shows the lines that they do not reach.
     missed: bool,
 }
 
@@ -44,7 +46,7 @@ impl Request {
         while let Some(word) = words.next() {
             match word.as_str() {
                 "--seconds" => {
-                    let number = words.next().context("--seconds takes a number")?;
+                    let number = words.next().context("--seconds needs a number")?;
                     request.seconds = number.parse().with_context(|| format!("--seconds {number}"))?;
                 }
                 "--keep" => request.keep = true,
@@ -58,13 +60,13 @@ impl Request {
     }
 }
 
-/// What libFuzzer reported of one target.
+/// Figures of libFuzzer for one target.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Figures {
     inputs: u64,
-    /// Edges of the program that were reached with the inputs of the start, and at the end.
+    /// Edges of the program reached by the initial inputs, and at the end.
     coverage: (u64, u64),
-    /// Inputs that reached something new.
+    /// Number of inputs that reached new edges.
     found: u64,
 }
 
@@ -96,7 +98,7 @@ struct Fuzzing<'a> {
     workspace: &'a Workspace,
     /// Sources and committed corpora.
     source: PathBuf,
-    /// Everything that is not committed.
+    /// Files that are not committed.
     work: PathBuf,
     /// Search path with cargo-fuzz on it.
     path: std::ffi::OsString,
@@ -146,7 +148,7 @@ fn targets(folder: &Path) -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// Sees to it that the nightly toolchain and cargo-fuzz are there. Returns the search path with cargo-fuzz.
+/// Ensures that the nightly toolchain and cargo-fuzz are installed. Returns the search path with cargo-fuzz.
 fn tools(work: &Path) -> Result<std::ffi::OsString> {
     if process::capture(nightly("cargo").arg("--version")).is_err() {
         bail!("fuzzing needs the nightly toolchain: install it with `rustup toolchain install nightly`");
@@ -169,7 +171,7 @@ impl Fuzzing<'_> {
         self.work.join("build")
     }
 
-    /// Builds one target, or all.
+    /// Builds one target; default: all.
     fn build(&self, target: Option<&str>) -> Result<()> {
         let mut command = nightly("cargo");
         command.env("PATH", &self.path).current_dir(&self.workspace.root).args(["fuzz", "build", "--fuzz-dir"]);
@@ -177,7 +179,7 @@ impl Fuzzing<'_> {
         process::run(&mut command)
     }
 
-    /// The program of a target: below a folder with the name of the machine.
+    /// Path of a target's program.
     fn program(&self, target: &str) -> Result<PathBuf> {
         let machines = std::fs::read_dir(self.build_dir()).context("nothing was built")?;
         let programs = machines.flatten().map(|entry| entry.path().join("release").join(target));
@@ -185,7 +187,7 @@ impl Fuzzing<'_> {
         programs.filter(|program| program.is_file()).last().with_context(|| format!("`{target}` was not built"))
     }
 
-    /// A folder for a target, made if it is not there.
+    /// A folder for a target, created if it does not exist.
     fn folder(&self, kind: &str, target: &str) -> Result<PathBuf> {
         let folder = self.work.join(kind).join(target);
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -206,7 +208,7 @@ impl Fuzzing<'_> {
         Ok(command)
     }
 
-    /// Runs a target. Returns its figures and the inputs that crashed it.
+    /// Runs a target. Returns its figures and the inputs that made it crash.
     fn run(&self, target: &str, seconds: u64) -> Result<(Figures, Vec<PathBuf>)> {
         let artifacts = self.folder("artifacts", target)?;
         let known = inputs(&artifacts);
@@ -234,7 +236,7 @@ impl Fuzzing<'_> {
         Ok((Figures::of(&output), new))
     }
 
-    /// Replaces the committed corpus of a target by a small selection of all its inputs. Regressions stay.
+    /// Replaces the committed corpus of a target by a small selection of all its inputs. Regression inputs stay.
     fn keep(&self, target: &str) -> Result<()> {
         let committed = self.source.join("corpus").join(target);
         std::fs::create_dir_all(&committed).with_context(|| format!("cannot make {}", committed.display()))?;
@@ -267,7 +269,7 @@ impl Fuzzing<'_> {
     }
 }
 
-/// Whether a file of a corpus has a name that a person gave it; libFuzzer names files by their hash.
+/// Whether a file of a corpus has a name given by a person; libFuzzer names files by their hash.
 fn is_regression(file: &Path) -> bool {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     name.len() != 40 || !name.bytes().all(|byte| byte.is_ascii_hexdigit())

@@ -1,4 +1,4 @@
-//! Files that tests compare with and can update: the C header and the expected outputs.
+//! Expected files of tests, and their update: the C header and the expected outputs.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -13,18 +13,18 @@ use crate::setup;
 use crate::tool;
 use crate::workspace::Workspace;
 
-/// With this variable set, tests write what they would compare with.
+/// If this variable is set, tests write the expected files instead of comparing.
 const BLESS: &str = "PANOSCOPE_BLESS";
 
 /// Updates core/contract/abi/panoscope.h.
 pub fn header(workspace: &Workspace) -> Result<()> {
     process::run(workspace.cargo().args(["test", "--quiet", "--package", "panoscope-abi"]).env(BLESS, "1"))?;
     let header = workspace.root.join("core/contract/abi/panoscope.h");
-    ensure!(header.is_file(), "the tests of core/contract/abi wrote no {}", header.display());
+    ensure!(header.is_file(), "the tests of core/contract/abi did not write {}", header.display());
     show_changes(workspace, "core/contract/abi")
 }
 
-/// Updates all expected outputs. Read the difference before you commit it.
+/// Updates all expected outputs. Review the differences before you commit them.
 pub fn bless(workspace: &Workspace) -> Result<()> {
     setup::ensure(&[Purpose::Build, Purpose::Test])?;
     let nextest = tool::ensure(workspace, nextest::PROGRAM)?;
@@ -53,7 +53,7 @@ pub fn test_environment(cargo: &mut Command, workspace: &Workspace, tests: &Buil
     Ok(())
 }
 
-/// An empty folder for the state of programs that tests start, see `panoscope_testing::own_settings`.
+/// An empty folder for the state of programs started by tests, see `panoscope_testing::own_settings`.
 fn fresh_state(workspace: &Workspace) -> Result<PathBuf> {
     let folder = workspace.target.join("test_state");
     if folder.exists() {

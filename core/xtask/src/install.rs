@@ -1,4 +1,4 @@
-//! Puts a build into a folder, to be run without cargo.
+//! Installs a build into a folder, to be run without cargo.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -19,17 +19,17 @@ use crate::workspace::Workspace;
 pub const LIBRARY: &str = "lib/panoscope";
 /// Folder of the graphs below the prefix.
 pub const DATA: &str = "share/panoscope";
-/// File in [`DATA`] by which graphs know that they belong to an installation.
+/// File in [`DATA`] that marks graphs as part of an installation.
 const MARKER: &str = "installation.toml";
 
-/// Whether installed programs keep the line numbers and names of functions that back-traces show.
+/// Whether installed programs keep line numbers and function names for back-traces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Symbols {
     Stripped,
     Kept,
 }
 
-/// How an installation gets to a machine; `panoscope doctor` gives advice that fits.
+/// Kind of installation, for the advice of `panoscope doctor`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// By a package manager, below `/usr`.
@@ -40,10 +40,10 @@ pub enum Kind {
     Wheel,
 }
 
-/// Builds and puts all that runs without cargo into `dir`: `bin`, `lib/panoscope`, `share/panoscope`.
+/// Builds everything and installs it into `dir`: `bin`, `lib/panoscope`, `share/panoscope`.
 ///
 /// # Errors
-/// The build fails, a file cannot be copied, or ONNX Runtime cannot be had; all but ONNX Runtime is in place then.
+/// The build fails, a file cannot be copied, or ONNX Runtime cannot be fetched; all but ONNX Runtime is then installed.
 pub fn install(workspace: &Workspace, dir: &Path, profile: Profile, symbols: Symbols) -> Result<()> {
     let built = build(workspace, profile)?;
     let windows = build_windows(workspace, profile)?;
@@ -79,16 +79,16 @@ pub fn mark(prefix: &Path, kind: Kind) -> Result<()> {
     fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// What an installed folder is made of.
+/// Sources of an installed folder.
 pub struct Tree<'a> {
     pub built: &'a Built,
     pub windows: Option<&'a Windows>,
-    /// ONNX Runtime's shared library; its licence is beside it.
+    /// ONNX Runtime's shared library; its licence is next to it.
     pub runtime: Option<&'a Path>,
 }
 
 impl Tree<'_> {
-    /// Puts the programs, the plugins with their models, ONNX Runtime and the graphs into `prefix`.
+    /// Installs the programs, the plugins with their models, ONNX Runtime and the graphs into `prefix`.
     ///
     /// # Errors
     /// A file cannot be copied.
@@ -138,7 +138,7 @@ impl Tree<'_> {
     }
 }
 
-/// Removes from a program or library what only debuggers read.
+/// Removes from a program or library debug information.
 pub fn strip(file: &Path) -> Result<()> {
     process::run(Command::new("strip").args(["--strip-unneeded", "--remove-section=.comment"]).arg(file))
 }
@@ -163,7 +163,7 @@ mod tests {
 
     use super::*;
 
-    /// The build that the tests run with, as `cargo xtask test` names it.
+    /// The build that the tests run with, from the environment of `cargo xtask test`.
     fn built() -> Option<Built> {
         let program = PathBuf::from(std::env::var_os("PANOSCOPE_BIN")?);
         let plugin_dir = program.with_file_name("plugins");

@@ -1,4 +1,5 @@
-//! `cargo xtask interlock`: how thoroughly the interlock's tests judge it. Branch coverage, and mutants: small changes of its code that a test must find.
+//! `cargo xtask interlock`: measures how thoroughly the interlock is tested, by branch coverage and mutants: small
+//! changes of its code that a test must detect.
 
 use std::process::Command;
 
@@ -10,16 +11,16 @@ use crate::tool;
 use crate::workspace::Workspace;
 
 const PACKAGE: &str = "panoscope-arm-core";
-/// The judged files, from the workspace's root.
+/// The measured files, relative to the workspace's root.
 const FILES: &str = "core/robot/arm/src/interlock/";
 /// Their tests.
 const TESTS: &str = "interlock/tests/";
-/// Least share of mutants that the tests find, percent.
+/// Minimum share of mutants that the tests detect, percent.
 const MIN_SCORE: f64 = 90.0;
 /// Branch coverage needs the nightly compiler.
 const TOOLCHAIN: &str = "+nightly";
 
-/// What to judge.
+/// Measurements to make.
 #[derive(Debug, PartialEq, Eq)]
 struct Parts {
     coverage: bool,
@@ -32,15 +33,15 @@ impl Parts {
             [] => Ok(Self { coverage: true, mutants: true }),
             ["--coverage"] => Ok(Self { coverage: true, mutants: false }),
             ["--mutants"] => Ok(Self { coverage: false, mutants: true }),
-            other => bail!("interlock takes nothing, `--coverage` or `--mutants`, not `{}`", other.join(" ")),
+            other => bail!("unknown argument `{}`: give `--coverage`, `--mutants` or nothing", other.join(" ")),
         }
     }
 }
 
-/// Judges the tests; fails below full coverage and below [`MIN_SCORE`].
+/// Measures the tests; fails below full coverage and below [`MIN_SCORE`].
 ///
 /// # Errors
-/// A tool cannot be installed or fails, or the tests leave out too much: the message lists what.
+/// A tool cannot be installed or fails, or the tests miss too much, which the message lists.
 pub fn interlock(workspace: &Workspace, args: &[String]) -> Result<()> {
     let parts = Parts::parse(args)?;
     if parts.coverage {
@@ -73,7 +74,7 @@ fn coverage(workspace: &Workspace) -> Result<()> {
     tools.put_into(&mut cargo)?;
     println!("{}", process::shown(&cargo));
     let text = process::capture(&mut cargo).context(
-        "branch coverage needs the nightly compiler and its LLVM tools: `rustup toolchain install nightly --component llvm-tools`",
+        "branch coverage needs the nightly compiler and its LLVM tools: run `rustup toolchain install nightly --component llvm-tools`",
     )?;
     let files = covered(&text)?;
     let mut missed = Vec::new();
@@ -90,12 +91,12 @@ fn coverage(workspace: &Workspace) -> Result<()> {
         bail!("cargo llvm-cov reports no file in {FILES}");
     }
     if !missed.is_empty() {
-        bail!("the tests leave out lines or branches of {}", missed.join(", "));
+        bail!("the tests do not cover all lines and branches of {}", missed.join(", "));
     }
     Ok(())
 }
 
-/// Covered and existing branches and lines of a file.
+/// Numbers of covered and of all branches and lines of a file.
 #[derive(Debug, PartialEq, Eq)]
 struct Covered {
     name: String,
@@ -149,7 +150,7 @@ fn mutants(workspace: &Workspace) -> Result<()> {
         score.percent()
     );
     if score.percent() < MIN_SCORE {
-        bail!("the tests find {:.1} % of the mutants, {MIN_SCORE} % are needed", score.percent());
+        bail!("the tests detect {:.1} % of the mutants, but {MIN_SCORE} % are required", score.percent());
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Licences of the crates that are linked into the programs.
+//! Licences of the crates linked into the programs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -11,10 +11,10 @@ use serde_json::Value;
 use crate::process::capture;
 use crate::workspace::Workspace;
 
-/// Beginnings of the names of files that hold terms.
+/// Prefixes of the names of licence files.
 const NAMES: [&str; 6] = ["LICEN", "COPYING", "NOTICE", "COPYRIGHT", "OFL", "UFL"];
 
-/// A crate that is linked in.
+/// A linked crate.
 struct Crate {
     /// Name and version.
     name: String,
@@ -22,10 +22,10 @@ struct Crate {
     folder: PathBuf,
 }
 
-/// The licences of all foreign crates that the workspace's programs and plugins are linked with: a list, then each text once.
+/// The licences of all external crates linked into the workspace's programs and plugins: a list, then each text once.
 ///
 /// # Errors
-/// Cargo does not answer.
+/// `cargo metadata` fails.
 pub fn notices(workspace: &Workspace) -> Result<String> {
     let mut cargo = workspace.cargo();
     cargo.args(["metadata", "--format-version", "1", "--locked"]);
@@ -47,7 +47,8 @@ pub fn notices(workspace: &Workspace) -> Result<String> {
     Ok(list)
 }
 
-/// Crates of a registry that a member of the workspace other than its tests and this program needs at run time, sorted by name.
+/// Crates of a registry that members of the workspace, other than tests and this program, need at run time, sorted by
+/// name.
 fn linked(metadata: &Value) -> Option<Vec<Crate>> {
     let nodes: BTreeMap<&str, &Value> =
         metadata["resolve"]["nodes"].as_array()?.iter().filter_map(|node| Some((node["id"].as_str()?, node))).collect();
@@ -89,7 +90,7 @@ fn linked(metadata: &Value) -> Option<Vec<Crate>> {
     Some(crates)
 }
 
-/// The texts of terms in a crate's folder, and of fonts in it.
+/// The licence texts in a crate's folder, and of its fonts.
 fn terms(folder: &Path) -> Result<Vec<String>> {
     let mut texts = Vec::new();
     for (folder, is_fonts) in [(folder.to_owned(), false), (folder.join("fonts"), true)] {

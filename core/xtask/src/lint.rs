@@ -18,7 +18,7 @@ pub fn require_clippy(workspace: &Workspace) -> Result<()> {
     require(workspace, "clippy", "clippy")
 }
 
-/// Sees to it that a part of the toolchain is there: minimal installations leave these out.
+/// Installs a component of the toolchain unless it is there; minimal installations lack these.
 fn require(workspace: &Workspace, subcommand: &str, component: &str) -> Result<()> {
     if process::capture(workspace.cargo().args([subcommand, "--version"])).is_ok() {
         return Ok(());

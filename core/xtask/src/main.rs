@@ -1,4 +1,4 @@
-//! Set-up, demo, tests and generated files of Panoscope: `cargo xtask <command>`.
+//! Development tasks of Panoscope: setup, demo, tests and generated files: `cargo xtask <command>`.
 
 #![forbid(unsafe_code)]
 
@@ -146,7 +146,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let (dir, symbols) = match rest {
                 [dir] => (dir, install::Symbols::Stripped),
                 [dir, flag] if flag == "--symbols" => (dir, install::Symbols::Kept),
-                _ => bail!("install takes the folder to install into, and `--symbols` after it"),
+                _ => bail!("usage: install FOLDER [--symbols]"),
             };
             setup::ensure(&[Purpose::Build])?;
             install::install(&Workspace::locate()?, dir.as_ref(), Profile::Release, symbols)?;
@@ -189,7 +189,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What is packaged, and where.
+/// Arguments of a packaging command.
 struct Packaging {
     dir: PathBuf,
     profile: Profile,
@@ -197,7 +197,7 @@ struct Packaging {
 }
 
 impl Packaging {
-    /// Reads `[DIR] [--check] [--dev]`; without a folder it is `target/COMMAND`.
+    /// Reads `[DIR] [--check] [--dev]`; the default folder is `target/COMMAND`.
     fn read(workspace: &Workspace, command: &str, args: &[String]) -> Result<Self> {
         let (flags, folders): (Vec<&String>, Vec<&String>) = args.iter().partition(|arg| arg.starts_with("--"));
         if let Some(other) = flags.iter().find(|flag| !["--check", "--dev"].contains(&flag.as_str())) {
@@ -208,7 +208,7 @@ impl Packaging {
         let dir = match folders[..] {
             [] => workspace.target.join(command),
             [dir] => dir.into(),
-            _ => bail!("{command} takes one folder to write into"),
+            _ => bail!("{command} needs exactly one folder"),
         };
         Ok(Self { dir, profile, checks: has("--check") })
     }

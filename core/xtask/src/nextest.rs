@@ -1,4 +1,4 @@
-//! cargo-nextest, which runs each test in a process of its own.
+//! cargo-nextest, which runs each test in a separate process.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -9,24 +9,24 @@ use crate::process;
 use crate::sanitizer::Sanitizer;
 use crate::workspace::{LINT_VARIABLES, Workspace};
 
-/// Its program, for [`crate::tool::ensure`].
+/// Name of its program, for [`crate::tool::ensure`].
 pub const PROGRAM: &str = "cargo-nextest";
 /// The profile in `.config/nextest.toml`.
 pub const PROFILE: &str = "default";
 
-/// Where a run writes its results, in JUnit's format.
+/// Path of a run's results in JUnit format.
 pub fn report_file(workspace: &Workspace, sanitizer: Option<Sanitizer>) -> PathBuf {
     let target = sanitizer.map_or(workspace.target.clone(), |sanitizer| workspace.target.join(sanitizer.folder()));
     target.join("nextest").join(PROFILE).join("junit.xml")
 }
 
-/// A run of tests. They do not see the lints that their own compilation had: some of them compile, too.
+/// Command for a run of tests. It removes the variables of clippy, because some tests compile code.
 ///
 /// # Errors
 /// The compiler does not name its target.
 pub fn run(cargo: &mut Command) -> Result<&mut Command> {
     let version = process::capture(Command::new("rustc").arg("-vV"))?;
-    let target = version.lines().find_map(|line| line.strip_prefix("host: ")).context("`rustc -vV` names no host")?;
+    let target = version.lines().find_map(|line| line.strip_prefix("host: ")).context("`rustc -vV` printed no host")?;
     let runner = format!("CARGO_TARGET_{}_RUNNER", target.to_uppercase().replace('-', "_"));
     let removed = LINT_VARIABLES.map(|name| format!("-u {name}")).join(" ");
     cargo.env(runner, format!("env {removed}"));

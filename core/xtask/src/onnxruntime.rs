@@ -1,4 +1,4 @@
-//! ONNX Runtime's shared library, out of its Python wheel.
+//! ONNX Runtime's shared library, from its Python wheel.
 
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ static AARCH64: Wheel = Wheel {
     ..X86_64
 };
 
-/// Fetches the library for this machine; returns its path. Does nothing if it is there already.
+/// Fetches the library for this machine; returns its path. Does nothing if it was fetched before.
 pub fn fetch(workspace: &Workspace) -> Result<PathBuf> {
     let wheel = match (std::env::consts::OS, std::env::consts::ARCH) {
         ("linux", "x86_64") => &X86_64,
@@ -43,7 +43,7 @@ pub fn fetch(workspace: &Workspace) -> Result<PathBuf> {
     Ok(folder.join(LIBRARY))
 }
 
-/// The library with what its licence asks to go with it.
+/// The library and its licence files.
 pub fn files(library: &Path) -> Vec<PathBuf> {
     let names = MEMBERS.iter().filter_map(|member| Path::new(member).file_name());
     names.map(|name| library.with_file_name(name)).filter(|file| file.is_file()).collect()

@@ -1,4 +1,4 @@
-//! The system packages Panoscope needs, and which of them are missing.
+//! The system packages that Panoscope needs.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -7,42 +7,42 @@ use std::process::Command;
 use crate::process::find_program;
 use crate::system::System;
 
-/// Folder of Debian's opencv-doc that holds the images the tests read.
+/// Folder of Debian's opencv-doc with images for tests.
 const OPENCV_DOC_DATA: &str = "/usr/share/doc/opencv-doc/examples/data";
 
-/// What a package is needed for.
+/// Purpose of a package.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
-    /// Compiling and running: nothing works without.
+    /// Compiling and running; required.
     Build,
-    /// Data and programs of tests, which skip without.
+    /// Data and programs for tests, which are otherwise skipped.
     Test,
     /// Fetching files from Python wheels.
     Wheels,
-    /// Windows on a virtual screen: their pictures, and tests that open them.
+    /// Windows on a virtual screen, for screenshots and tests.
     Screens,
-    /// Making packages.
+    /// Building packages.
     Package,
 }
 
 impl Purpose {
-    /// Whether work can go on without packages of this purpose.
+    /// Whether packages of this purpose are optional.
     pub fn is_optional(self) -> bool {
         matches!(self, Self::Test)
     }
 }
 
-/// How a package shows itself where no package database is asked.
+/// How to detect a package without a package database.
 enum Evidence {
     Program(&'static str),
     PkgConfig(&'static str),
-    /// An element that `gst-inspect-1.0` finds.
+    /// Name of an element for `gst-inspect-1.0`.
     GStreamer(&'static str),
     AnyFile(&'static [&'static str]),
     Libclang,
 }
 
-/// One thing to install, by its name on each system.
+/// A package with its name on each system.
 pub struct Package {
     pub debian: &'static str,
     fedora: Option<&'static str>,
@@ -53,7 +53,7 @@ pub struct Package {
 }
 
 impl Package {
-    /// Its name on a system, where known.
+    /// Its name on a system, if known.
     pub fn name_on(&self, system: System) -> Option<&'static str> {
         match system {
             System::Debian => Some(self.debian),
@@ -75,7 +75,7 @@ const fn package(
     Package { debian, fedora, arch, brew, purpose, evidence }
 }
 
-/// Everything, in the order it is shown.
+/// All packages, in the order of output.
 pub static PACKAGES: &[Package] = &[
     package(Purpose::Build, "gcc", [Some("gcc"), Some("gcc"), Some("gcc")], Evidence::Program("cc")),
     package(Purpose::Build, "g++", [Some("gcc-c++"), Some("gcc"), Some("gcc")], Evidence::Program("c++")),
@@ -255,7 +255,7 @@ pub static PACKAGES: &[Package] = &[
     package(Purpose::Screens, "libxi6", [Some("libXi"), Some("libxi"), None], Evidence::PkgConfig("xi")),
 ];
 
-/// The packages of these purposes that are not there.
+/// The packages of these purposes that are not installed.
 pub fn missing(system: System, purposes: &[Purpose]) -> Vec<&'static Package> {
     let wanted = PACKAGES.iter().filter(|package| purposes.contains(&package.purpose));
     if system != System::Debian {
@@ -284,7 +284,7 @@ fn installed_on_debian(packages: &[&Package]) -> BTreeSet<String> {
     installed_names(&String::from_utf8_lossy(&text))
 }
 
-/// Names in lines of `name status` whose status is `installed`.
+/// Names of installed packages in lines of `name status`.
 fn installed_names(dpkg_query: &str) -> BTreeSet<String> {
     dpkg_query
         .lines()
@@ -294,8 +294,8 @@ fn installed_names(dpkg_query: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Whether dpkg is configured to leave documentation out, as container images often do: then an installed opencv-doc
-/// may be empty.
+/// Whether dpkg is configured to exclude documentation, as in many container images: then an installed opencv-doc may
+/// be empty.
 fn documentation_is_excluded() -> bool {
     let Ok(folder) = std::fs::read_dir("/etc/dpkg/dpkg.cfg.d") else { return false };
     folder.flatten().any(|file| {

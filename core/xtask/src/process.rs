@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 /// Lines of a silent command's output that are shown when it fails.
 const TAIL_LINES: usize = 20;
 
-/// The command as one would type it.
+/// The command as typed in a shell.
 pub fn shown(command: &Command) -> String {
     let program = Path::new(command.get_program());
     let words = std::iter::once(program.file_name().unwrap_or(command.get_program())).chain(command.get_args());
@@ -31,7 +31,7 @@ pub fn run(command: &mut Command) -> Result<()> {
     check(command, status)
 }
 
-/// Runs a command silently and returns its standard output; a failure carries the end of its output.
+/// Runs a command silently and returns its standard output; the error of a failure has the end of its output.
 pub fn capture(command: &mut Command) -> Result<String> {
     let output = command.stdin(Stdio::null()).output().with_context(|| format!("cannot start `{}`", shown(command)))?;
     let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -42,8 +42,8 @@ pub fn capture(command: &mut Command) -> Result<String> {
     Ok(stdout)
 }
 
-/// Runs a command and hands every line of its standard output to `on_line`, which returns whether to show it.
-/// Standard error goes straight to the terminal.
+/// Runs a command and hands every line of its standard output to `on_line`, which returns whether to print it. Standard
+/// error goes straight to the terminal.
 pub fn filter(command: &mut Command, mut on_line: impl FnMut(&str) -> bool) -> Result<ExitStatus> {
     let mut child =
         command.stdout(Stdio::piped()).spawn().with_context(|| format!("cannot start `{}`", shown(command)))?;
@@ -75,7 +75,7 @@ pub fn tail(text: &str, lines: usize) -> String {
     all[all.len().saturating_sub(lines)..].join("\n")
 }
 
-/// Path of a program in PATH.
+/// Searches PATH for a program.
 pub fn find_program(name: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     std::env::split_paths(&path).map(|dir| dir.join(name)).find(|file| file.is_file())

@@ -1,4 +1,4 @@
-//! Packages of Python for the tests, beside the build and not in the user's Python.
+//! Python packages for the tests, in the build folder instead of the user's Python.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -8,27 +8,28 @@ use crate::process;
 use crate::setup;
 use crate::workspace::Workspace;
 
-/// Packages that are fetched together.
+/// A set of packages that is fetched together.
 pub struct Packages {
-    /// What messages call them.
+    /// Name in messages.
     name: &'static str,
-    /// Modules that are there when the packages are.
+    /// Modules whose import shows that the packages are installed.
     modules: &'static str,
     requirements: &'static [&'static str],
-    /// Folder below the build's.
+    /// Folder inside the target folder.
     folder: &'static str,
 }
 
-/// For nodes in Python.
+/// Packages for nodes in Python.
 pub const NUMPY: Packages =
     Packages { name: "NumPy", modules: "numpy", requirements: &["numpy>=1.24,<3"], folder: "python" };
 
-/// Names the folder of [`PEERS`] for the tests that use them.
+/// Environment variable with the folder of [`PEERS`], for the tests that use them.
 pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 
-/// What Panoscope is tested beside: readers of the files that `panoscope export` and `panoscope dicom` write, a client of Foxglove's protocol, bags and DDS of ROS 2,
-/// OpenCV, ONNX Runtime, what runs and shows notebooks, tables, and checkers of types; 1.6 GB. foxglove-sdk is
-/// of the version of the crate `foxglove`: schemas are compared; onnxruntime of that of `crate::onnxruntime`: values are compared.
+/// Peers for tests of Panoscope: readers of the files that `panoscope export` and `panoscope dicom` write, a client of
+/// Foxglove's protocol, bags and DDS of ROS 2, OpenCV, ONNX Runtime, notebooks, tables, and type checkers; 1.6 GB.
+/// foxglove-sdk has the version of the crate `foxglove`, because schemas are compared; onnxruntime has that of
+/// `crate::onnxruntime`, because values are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
     modules: "basedpyright, cv2, cyclonedds, foxglove, ipykernel, ipywidgets, mcap, mcap_protobuf, mypy, nbclient, numpy, onnxruntime, pandas, PIL, polars, pydicom, pyigtl, rerun, rosbags, websockets",
@@ -64,7 +65,8 @@ impl Packages {
         process::capture(&mut python).is_ok()
     }
 
-    /// The folder for `PYTHONPATH`; none where Python has the packages by itself, or none can be had: then tests that need them are skipped.
+    /// The folder for `PYTHONPATH`; `None` if Python already has the packages, or if they cannot be fetched, so that
+    /// tests are skipped.
     pub fn folder(&self, workspace: &Workspace) -> Option<PathBuf> {
         if self.are_in(None) {
             return None;

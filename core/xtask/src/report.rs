@@ -1,11 +1,11 @@
-//! What `panoscope run --report` wrote, on one screen.
+//! Summary of a report of `panoscope run --report`.
 
 use std::fmt::Write;
 
 use anyhow::{Context, Result};
 use serde_json::Value;
 
-/// A report in text, and what a run must not have done.
+/// A report as text, with its failures.
 pub struct Summary {
     pub text: String,
     pub frames: u64,

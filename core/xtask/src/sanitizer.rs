@@ -1,10 +1,12 @@
-//! Tests built with AddressSanitizer or ThreadSanitizer, which the nightly compiler has.
+//! Tests built with AddressSanitizer or ThreadSanitizer, which need the nightly compiler.
 //!
-//! Plugins and the program stay those of the ordinary build: a library with a sanitizer of its own cannot be loaded into every test program, and
-//! allocations of a plugin are seen all the same. So accesses inside of plugins are not judged, nor those of the processes of isolated nodes, which run
-//! the program; what their host makes of any message is fuzzed under AddressSanitizer (target `isolated_call`).
+//! Plugins and the program are those of the ordinary build, because a library with a sanitizer cannot be loaded into
+//! every test program; allocations of plugins are still checked. Accesses inside of plugins are not checked, nor those
+//! in processes of isolated nodes, which run the program; their host's reading of messages is fuzzed under
+//! AddressSanitizer (target `isolated_call`).
 //!
-//! One kind of test cannot run: both sanitizers have a heap of their own, so the C library's counters of its heap say nothing (`heap::tests`).
+//! One kind of test cannot run: both sanitizers replace the heap, so the C library's heap counters are useless
+//! (`heap::tests`).
 
 use std::path::Path;
 use std::process::Command;
@@ -15,7 +17,8 @@ use crate::coverage::nightly;
 use crate::process;
 use crate::workspace::Workspace;
 
-/// The runtime keeps plugins mapped and leaves by `_exit`: what is then still allocated is no leak. The handlers of signals are its own.
+/// The runtime keeps plugins mapped and ends by `_exit`, so remaining allocations are not leaks. It has its own signal
+/// handlers.
 pub const ASAN_OPTIONS: &str =
     "detect_leaks=0:handle_segv=0:handle_abort=0:use_sigaltstack=0:detect_stack_use_after_return=1";
 
@@ -36,17 +39,17 @@ impl Sanitizer {
         }
     }
 
-    /// Cargo of the nightly toolchain, which builds with the sanitizer into a folder of its own.
+    /// Cargo of the nightly toolchain, which builds with the sanitizer into a separate folder.
     ///
     /// # Errors
-    /// The toolchain is missing, or the sources of the standard library, which ThreadSanitizer has to see.
+    /// The toolchain or the sources of the standard library, which ThreadSanitizer needs, are missing.
     pub fn cargo(self, workspace: &Workspace) -> Result<Command> {
         let sysroot = process::capture(nightly("rustc").args(["--print", "sysroot"]))
-            .context("sanitizers need the nightly toolchain: `rustup toolchain install nightly`")?;
+            .context("sanitizers need the nightly toolchain: run `rustup toolchain install nightly`")?;
         let library = Path::new(sysroot.trim()).join("lib/rustlib/src/rust/library/Cargo.lock");
         if self == Self::Thread && !library.is_file() {
             bail!(
-                "ThreadSanitizer needs the sources of the standard library: `rustup component add rust-src --toolchain nightly`"
+                "ThreadSanitizer needs the sources of the standard library: run `rustup component add rust-src --toolchain nightly`"
             );
         }
         let mut cargo = nightly("cargo");
@@ -55,7 +58,7 @@ impl Sanitizer {
         Ok(cargo)
     }
 
-    /// Its folder below the target folder.
+    /// Name of its folder in the target folder.
     pub fn folder(self) -> &'static str {
         match self {
             Self::Address => "asan",
@@ -63,7 +66,8 @@ impl Sanitizer {
         }
     }
 
-    /// For `cargo nextest run`: with a named target, build scripts and macros are built without the sanitizer.
+    /// Arguments for `cargo nextest run`: with an explicit target, build scripts and macros are built without the
+    /// sanitizer.
     pub fn arguments(self) -> &'static [&'static str] {
         match self {
             Self::Address => &["--target", TARGET],
@@ -72,5 +76,5 @@ impl Sanitizer {
     }
 }
 
-/// The machine that sanitizers exist for here.
+/// Target that is built with sanitizers.
 const TARGET: &str = "x86_64-unknown-linux-gnu";

@@ -1,4 +1,4 @@
-//! `cargo xtask screens`: pictures of both windows over running graphs, taken on a virtual screen.
+//! `cargo xtask screens`: screenshots of both windows with running graphs, taken on a virtual screen.
 
 use std::fs;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use crate::process;
 use crate::setup;
 use crate::workspace::Workspace;
 
-/// Name of the picture (a film where it ends with `.gif`), graph, what is done before it is taken, seconds until then.
+/// Name of the screenshot (a film if it ends with `.gif`), graph, actions before it is taken, seconds until then.
 const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench", "graphs/panorama.toml", &[], "8"),
     ("bench_node", "graphs/panorama.toml", &["select:wide"], "8"),
@@ -72,7 +72,7 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("theatre_arm_stopped", "graphs/surgeon.toml", &["stop", "more"], "15"),
 ];
 
-/// A screen that ends with this value.
+/// A virtual screen, closed when dropped.
 struct Screen {
     server: Child,
     display: String,
@@ -103,10 +103,10 @@ impl Drop for Screen {
     }
 }
 
-/// Takes all pictures, or those that `args` names after the folder.
+/// Takes all screenshots, or those that `args` names after the folder.
 ///
 /// # Errors
-/// Something is missing, the build fails, or a picture was not taken.
+/// Something is missing, the build fails, or a screenshot was not taken.
 pub fn screens(workspace: &Workspace, args: &[String]) -> Result<()> {
     setup::ensure(&[Purpose::Build, Purpose::Screens])?;
     let folder = args.first().map_or_else(|| workspace.target.join("screens"), PathBuf::from);
@@ -130,7 +130,7 @@ pub fn screens(workspace: &Workspace, args: &[String]) -> Result<()> {
         command.env("DISPLAY", &screen.display).env("LIBGL_ALWAYS_SOFTWARE", "1").env_remove("WAYLAND_DISPLAY");
         command.env("PANOSCOPE_PLUGIN_PATH", &built.plugin_dir);
         process::run(&mut command)?;
-        ensure!(file.is_file(), "the picture {} was not taken", file.display());
+        ensure!(file.is_file(), "the screenshot {} was not taken", file.display());
     }
     Ok(())
 }

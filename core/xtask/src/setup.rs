@@ -8,16 +8,16 @@ use crate::packages::{Package, Purpose, missing};
 use crate::process;
 use crate::system::System;
 
-/// What `ensure` found to do.
+/// Result of `ensure`.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Outcome {
     NothingMissing,
     Installed,
-    /// Only packages that can be done without are still missing; a line named them.
+    /// Only optional packages are still missing; a line named them.
     GoesWithout,
 }
 
-/// Sees to it that the packages of these purposes are there. Silent and fast when they are.
+/// Ensures that the packages of these purposes are installed. Silent and fast if they are.
 pub fn ensure(purposes: &[Purpose]) -> Result<Outcome> {
     let system = System::current();
     let absent = missing(system, purposes);
@@ -60,7 +60,7 @@ fn install(root: &Root, packages: &[&Package]) -> Result<()> {
     }
 }
 
-/// Ends with an error when something needed is missing, else prints what is left out.
+/// Returns an error if a required package is missing, else prints the missing optional ones.
 fn without(system: System, absent: &[&Package], why: Option<String>) -> Result<Outcome> {
     let (optional, needed): (Vec<&Package>, Vec<&Package>) =
         absent.iter().copied().partition(|package| package.purpose.is_optional());
@@ -88,7 +88,7 @@ fn names(system: System, packages: &[&Package]) -> String {
     names.join(" ")
 }
 
-/// What to type, or what to look for where the package manager is not known.
+/// The command to install packages, or their names if the package manager is unknown.
 fn advice(system: System, packages: &[&Package]) -> String {
     match system.install_command() {
         Some(command) => format!("{command} {}", names(system, packages)),
@@ -98,13 +98,13 @@ fn advice(system: System, packages: &[&Package]) -> String {
     }
 }
 
-/// How packages are installed here.
+/// How to become root for installing packages.
 enum Root {
     Already,
     Sudo,
 }
 
-/// Runs apt-get so that no package starts a service, now or at the next boot: tests start their servers themselves.
+/// Runs apt-get so that no package starts a service, now or at the next boot; tests start their own servers.
 const WITHOUT_SERVICES: &str = r#"
 policy=/usr/sbin/policy-rc.d
 if [ ! -e $policy ]; then

@@ -1,4 +1,5 @@
-//! Tests of the structure: a crate imports only crates on lower floors, and sibling modules do not import each other in a circle.
+//! Tests of the structure: a crate imports only crates of lower layers, and sibling modules do not import each other in
+//! a circle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -14,10 +15,10 @@ const HOST: [&str; 7] = ["engine", "host", "remote", "monitor", "record", "eval"
 /// A package of the workspace.
 struct Package {
     name: String,
-    /// Below the workspace's root.
+    /// Folder relative to the workspace's root.
     folder: PathBuf,
     floor: Option<u64>,
-    /// Names of all packages that it is built with.
+    /// Names of all packages that it depends on.
     imports: Vec<String>,
 }
 
@@ -103,7 +104,7 @@ fn modules(src: &Path) -> BTreeMap<Module, PathBuf> {
     modules
 }
 
-/// A source text without its test module, line comments and texts.
+/// A source text without its test module, line comments and string literals.
 fn code_of(text: &str) -> String {
     let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or(text);
     let mut code = String::new();
@@ -215,7 +216,7 @@ fn imports(modules: &BTreeMap<Module, PathBuf>) -> BTreeMap<&Module, BTreeSet<Mo
     all
 }
 
-/// Groups of names that reach each other.
+/// Cycles: groups of names that reach each other.
 fn circles(edges: &BTreeMap<String, BTreeSet<String>>) -> Vec<BTreeSet<String>> {
     let reach = |from: &String| {
         let (mut seen, mut open) = (BTreeSet::new(), vec![from]);
@@ -239,7 +240,7 @@ fn circles(edges: &BTreeMap<String, BTreeSet<String>>) -> Vec<BTreeSet<String>> 
     groups
 }
 
-/// Circles among the children of each module of a crate: the parent, and the children of each circle.
+/// Cycles among the children of each module of a crate: the parent, and the children of each cycle.
 fn circles_of(src: &Path) -> Vec<(String, BTreeSet<String>)> {
     let modules = modules(src);
     let imports = imports(&modules);

@@ -1,4 +1,4 @@
-//! Which system this is, as far as installing packages goes.
+//! The system's package manager.
 
 use crate::process;
 
@@ -42,7 +42,7 @@ impl System {
             .unwrap_or(Self::Other)
     }
 
-    /// The command that installs packages, up to the names of the packages, where known.
+    /// The command that installs packages, without the names of the packages, if known.
     pub fn install_command(self) -> Option<&'static str> {
         match self {
             Self::Debian => Some("apt-get install --no-install-recommends"),

@@ -5,7 +5,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use roxmltree::{Document, Node};
 
-/// One test that ran.
+/// Result of one test.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TestResult {
     /// The test program, such as `panoscope-engine::tests`.
@@ -13,13 +13,14 @@ pub struct TestResult {
     pub name: String,
     pub time: Duration,
     pub failed: bool,
-    /// What it printed as `skipped: <reason>`.
+    /// Reasons that it printed as `skipped: <reason>`.
     pub skips: Vec<String>,
 }
 
 /// All results of a run.
 ///
-/// A test that lacks its data prints a line `skipped: <reason>` and returns; nextest calls that passed, here it is skipped.
+/// A test that lacks its data prints a line `skipped: <reason>` and returns; nextest counts that as passed, here it
+/// counts as skipped.
 #[derive(Debug, Default)]
 pub struct Tally {
     pub results: Vec<TestResult>,
@@ -52,7 +53,7 @@ impl Tally {
         self.failed_steps.len() + self.results.iter().filter(|result| result.failed).count()
     }
 
-    /// Every reason a test was skipped for and every failure, one a line.
+    /// Every reason for a skipped test and every failure, one per line.
     pub fn details(&self) -> Vec<String> {
         let skips = self.results.iter().flat_map(|result| {
             result.skips.iter().map(move |reason| format!("skipped: {} {}: {reason}", result.program, result.name))
@@ -70,7 +71,7 @@ impl Tally {
         format!("{passed} passed, {} failed, {skipped} skipped", self.failed())
     }
 
-    /// The `count` slowest tests, slowest first, and the `count` programs whose tests took longest together.
+    /// The `count` slowest tests, slowest first, and the `count` programs with the longest total time of tests.
     pub fn slowest(&self, count: usize) -> (Vec<&TestResult>, Vec<(&str, Duration)>) {
         let mut tests: Vec<&TestResult> = self.results.iter().collect();
         tests.sort_by_key(|result| std::cmp::Reverse(result.time));

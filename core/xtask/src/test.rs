@@ -1,4 +1,4 @@
-//! `cargo xtask test`: everything that must hold before a change goes in.
+//! `cargo xtask test`: all checks for a change.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -20,13 +20,13 @@ use crate::time::{self, timed};
 use crate::tool;
 use crate::workspace::Workspace;
 
-/// With less free space after a failure, the full disk is the probable reason: compilers do not say so.
+/// If a failure leaves less free space than this, the full disk is its probable reason, which compilers do not report.
 const MIN_FREE_MIB: u64 = 2048;
 
 /// Packages with examples in their documentation.
 const WITH_EXAMPLES: &[&str] = &["panoscope-editor-texts", "panoscope-graph", "panoscope-testing"];
 
-/// Packages whose tests need plugins at most.
+/// Packages whose tests need only plugins, not the program.
 const BELOW_PROGRAM: &[&str] = &[
     "panoscope-abi",
     "panoscope-base",
@@ -46,23 +46,24 @@ const BELOW_PROGRAM: &[&str] = &[
 struct Suite {
     name: &'static str,
     lints: bool,
-    /// Packages whose tests run; all if empty.
+    /// Packages whose tests run; default: all.
     packages: &'static [&'static str],
-    /// Filter expression of nextest; all tests if empty.
+    /// Filter expression of nextest; default: all tests.
     filter: &'static str,
-    /// Environment of its tests, where the caller has not set it.
+    /// Environment of its tests, unless the caller sets it.
     env: &'static [(&'static str, &'static str)],
-    /// Built with a sanitizer of the nightly compiler.
+    /// Sanitizer of its build, which needs the nightly compiler.
     sanitizer: Option<Sanitizer>,
 }
 
-/// Packages that the sanitizers check: those that run graphs, without plugins of foreign libraries.
+/// Packages that the sanitizers check: those that run graphs, without plugins that use external libraries.
 const SANITIZED: &[&str] =
     &["panoscope-base", "panoscope-graph", "panoscope-engine", "panoscope-host", "panoscope-record"];
 
 const ALL: Suite = Suite { name: "all", lints: true, packages: &[], filter: "", env: &[], sanitizer: None };
 
-/// A campaign: a test that draws cases from a seed. `test` runs a short dose of each, `test NAME` and `test campaign` the one that stands here.
+/// A campaign: a test that draws cases from a seed. `test` runs a few cases of each, `test NAME` and `test campaign`
+/// the number given here.
 const fn campaign(
     name: &'static str,
     packages: &'static [&'static str],
@@ -96,7 +97,8 @@ static SUITES: &[Suite] = &[
     },
 ];
 
-/// The campaigns with their long doses. Beside the number of cases each reads a seed, such as `PANOSCOPE_FAULT_SEED`.
+/// The campaigns with their full numbers of cases. Each also reads a seed from the environment, such as
+/// `PANOSCOPE_FAULT_SEED`.
 static CAMPAIGNS: &[Suite] = &[
     campaign("faults", &["panoscope-engine"], "test(/^campaign::/)", &[("PANOSCOPE_FAULT_CASES", "2000")]),
     campaign(
@@ -144,10 +146,10 @@ fn names() -> String {
     suites.chain([CAMPAIGN]).collect::<Vec<_>>().join(", ")
 }
 
-/// What the command line asks for.
+/// Arguments of the command.
 struct Request<'a> {
     suites: Vec<&'static Suite>,
-    /// For `cargo nextest run`.
+    /// Arguments for `cargo nextest run`.
     arguments: &'a [String],
 }
 
@@ -184,7 +186,7 @@ impl<'a> Request<'a> {
         self.suites.iter().find_map(|suite| suite.sanitizer)
     }
 
-    /// Packages whose tests run; all if empty.
+    /// Packages whose tests run; empty: all.
     fn packages(&self) -> Vec<&str> {
         let mut named = self.arguments.iter();
         let mut packages: Vec<&str> = self.suites.iter().flat_map(|suite| suite.packages.iter().copied()).collect();
@@ -198,7 +200,7 @@ impl<'a> Request<'a> {
         packages
     }
 
-    /// Filter expression of nextest. None where every test of the packages runs.
+    /// Filter expression of nextest. `None` if every test of the packages runs.
     fn filter(&self) -> Option<String> {
         let parts = self.suites.iter().filter(|suite| !suite.filter.is_empty()).map(|suite| {
             let packages: Vec<String> = suite.packages.iter().map(|name| format!("package({name})")).collect();
@@ -301,7 +303,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     tested.and(examples)
 }
 
-/// Runs the examples in the documentation of the packages that have some; nextest does not.
+/// Runs the examples in the documentation of the packages that have some, which nextest does not run.
 fn documented_examples(workspace: &Workspace) -> Result<()> {
     let mut cargo = workspace.cargo_dev();
     cargo.args(["test", "--quiet", "--doc"]).args(build::FEATURES);
@@ -309,19 +311,19 @@ fn documented_examples(workspace: &Workspace) -> Result<()> {
     process::capture(&mut cargo).map(drop)
 }
 
-/// Whether tests of these packages start the program: all but those below it, which tests of a changed line need not wait for.
+/// Whether tests of these packages start the program, which then has to be built first.
 fn needs_program(packages: &[&str]) -> bool {
     !packages.iter().all(|name| BELOW_PROGRAM.contains(name))
 }
 
-/// What tests need from elsewhere.
+/// Downloads for tests.
 struct Fetched {
     numpy: Option<PathBuf>,
     peers: Option<PathBuf>,
 }
 
 impl Fetched {
-    /// Fetches what is missing. Tests that need what cannot be had skip.
+    /// Fetches missing files. Tests that need a file that cannot be fetched are skipped.
     fn new(workspace: &Workspace, with_peers: bool) -> Self {
         // Tests of models name what they skipped without it.
         if let Err(error) = onnxruntime::fetch(workspace) {
@@ -341,7 +343,7 @@ impl Fetched {
     }
 }
 
-/// Free space of the disk with a folder, MiB. None where it cannot be told.
+/// Free space of the disk of a folder, MiB; `None` if unknown.
 fn free_mib(folder: &Path) -> Option<u64> {
     let text = process::capture(Command::new("df").args(["--block-size=1M", "--output=avail"]).arg(folder)).ok()?;
     text.lines().nth(1)?.trim().parse().ok()

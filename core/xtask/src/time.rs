@@ -1,4 +1,4 @@
-//! `cargo xtask time`: where the time of the last `cargo xtask test` went.
+//! `cargo xtask time`: shows the times of the last `cargo xtask test`.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,13 +12,13 @@ use serde_json::{Value, json};
 use crate::tally::Tally;
 use crate::workspace::Workspace;
 
-/// How many packages, programs and tests are listed.
+/// Number of listed packages, programs and tests.
 const LISTED: usize = 20;
 
 /// Seconds of each step of this process, in order.
 static STEPS: Mutex<Vec<(&'static str, f64)>> = Mutex::new(Vec::new());
 
-/// Runs a step, prints how long it took and puts its name before its error.
+/// Runs a step, prints its duration and prefixes an error with its name.
 pub fn timed<T>(step: &'static str, run: impl FnOnce() -> Result<T>) -> Result<T> {
     let start = Instant::now();
     let outcome = run();
@@ -44,7 +44,7 @@ pub fn forget_builds(workspace: &Workspace) {
     let _ = fs::remove_dir_all(reports(workspace));
 }
 
-/// Keeps the times of this run for `cargo xtask time`.
+/// Saves the times of this run for `cargo xtask time`.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -61,7 +61,7 @@ pub fn record(workspace: &Workspace, tally: &Tally) -> Result<()> {
     fs::write(&file, record.to_string()).with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// Seconds that the compiler took for each package of a build, all its targets together; longest first. Empty if nothing was compiled.
+/// Compile times of the packages of a build, s, over all targets of each; longest first. Empty if nothing was compiled.
 fn compile_times(report: &Path) -> Vec<(String, f64)> {
     let text = fs::read_to_string(report).unwrap_or_default();
     let units = text.split_once("const UNIT_DATA = ").and_then(|(_, rest)| rest.split_once("];"));
@@ -78,7 +78,7 @@ fn compile_times(report: &Path) -> Vec<(String, f64)> {
     times
 }
 
-/// Prints the seconds of each step of the last run, and of the packages, test programs and tests that took longest.
+/// Prints the seconds of each step of the last run, and of the slowest packages, test programs and tests.
 ///
 /// # Errors
 /// No run was recorded.

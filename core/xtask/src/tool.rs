@@ -1,4 +1,4 @@
-//! Programs of cargo that are built once, beside the build.
+//! Cargo subcommands that are built once, in the target folder.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -8,15 +8,16 @@ use anyhow::{Context, Result};
 use crate::process;
 use crate::workspace::Workspace;
 
-/// A program that cargo finds as a subcommand.
+/// A cargo subcommand.
 #[derive(Debug)]
 pub struct Tool {
-    /// The folder of a program that was built here; none if it is in PATH.
+    /// The folder of a program that was built here; `None` if it is in PATH.
     folder: Option<PathBuf>,
 }
 
 impl Tool {
-    /// Lets the command find the program. PATH stays as it is where it can: build scripts that watch it would run again.
+    /// Adds the program's folder to the command's PATH. PATH stays unchanged if possible, because build scripts that
+    /// depend on it would run again.
     ///
     /// # Errors
     /// The path of the folder contains a colon.

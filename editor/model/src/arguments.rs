@@ -266,7 +266,7 @@ mod tests {
         assert_eq!(left, [folder.join("r.mp4")]);
         let problems = form.finish().expect_err("no such file, and out of range");
         assert!(problems.iter().any(|p| p.contains("does not exist")), "{problems:?}");
-        assert!(problems.iter().any(|p| p.contains("allowed are 1 to 60")), "{problems:?}");
+        assert!(problems.iter().any(|p| p.contains("it must be 1 to 60")), "{problems:?}");
         std::fs::write(&calibration, "").expect("written");
         form.values.insert("rate".to_owned(), "25".to_owned());
         let given = form.finish().expect("right");

@@ -314,6 +314,9 @@ mod tests {
         bytes[8..12].copy_from_slice(&120i32.to_le_bytes());
         assert_eq!(describe(&bytes, "roi"), "120 x 0 px at 0, 0");
         assert_eq!(describe(b"hello\0\0", "text"), "hello");
-        assert_eq!(describe(&[0; 7], "roi"), "packet `roi` is cut off: field `y` ends at byte 8, but 7 bytes arrived");
+        assert_eq!(
+            describe(&[0; 7], "roi"),
+            "packet `roi` is truncated: field `y` ends at byte 8, but 7 bytes arrived"
+        );
     }
 }

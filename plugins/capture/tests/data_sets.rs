@@ -349,7 +349,7 @@ fn what_is_wrong_is_named_with_its_file() {
     assert!(message.contains("Other_labels/frame000.png is 10x10, but its image is 64x48"), "{message}");
     tree.write(mask, "no picture");
     let message = failure("EndoVis2017", "instrument_dataset_2");
-    assert!(message.contains("the mask is damaged or no PNG"), "{message}");
+    assert!(message.contains("the mask is damaged or not a PNG"), "{message}");
 }
 
 #[test]

@@ -13,7 +13,7 @@ fn says_what_computes<N>(node: &Harness<N>) {
     let lines: Vec<_> = node.logs().iter().map(|line| (line.level, line.message.as_str())).collect();
     let on_gpu = matches!(&lines[..], [(Level::Info, message)] if message.starts_with("computes on "));
     let without =
-        matches!(&lines[..], [(Level::Warn, message)] if message.contains("the processor computes the pictures: "));
+        matches!(&lines[..], [(Level::Warn, message)] if message.contains("the processor computes the images: "));
     assert!(on_gpu || without, "{lines:?}");
 }
 

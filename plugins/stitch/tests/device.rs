@@ -29,7 +29,7 @@ fn a_panorama_hardly_depends_on_the_device() {
             ("cpu", []) => {}
             ("gpu", [(Level::Info, message)]) => assert!(message.starts_with("computes on "), "{message}"),
             ("gpu", [(Level::Warn, message)]) => {
-                assert!(message.contains("the processor computes the pictures: "), "{message}");
+                assert!(message.contains("the processor computes the images: "), "{message}");
                 assert!(made[0] == made[1]);
             }
             _ => panic!("{device}: {lines:?}"),

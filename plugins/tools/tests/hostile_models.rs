@@ -108,7 +108,7 @@ fn graphs_in_graphs_without_end_are_refused() {
     }
     std::fs::write(&path, wrap(&graph, &[])).expect("written");
     let error = onnx_file::read(&path).expect_err("refused").to_string();
-    assert!(error.contains("more than 16 deep"), "{error}");
+    assert!(error.contains("more than 16 levels deep"), "{error}");
 }
 
 #[test]

@@ -26,7 +26,7 @@ const TOO_MUCH: [(&str, &str); 7] = [
     ("graphs in graphs, 3 deep and 60 wide", "nodes"),
     ("graphs in graphs, 14 deep and 2 wide", "nodes"),
     ("a list doubled 40 times", "values from its constants"),
-    ("a loop without end", "a loop that nothing ends"),
+    ("a loop without end", "a loop of"),
 ];
 /// Number of processes at a time.
 const AT_ONCE: usize = 2;

@@ -1,4 +1,4 @@
-//! `panoscope audit`: shows the audit log of the theatre, and whether it is whole.
+//! `panoscope audit`: shows the audit log of the theatre, and checks that it is intact.
 
 use std::path::PathBuf;
 
@@ -10,10 +10,10 @@ use crate::terminal::{log, out, raw};
 /// Arguments of `audit`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Folder of a log, or one file of it; without it, the log of this user.
+    /// Folder of a log, or one file of it; default: the log of this user.
     #[arg(value_name = "FILE")]
     path: Option<PathBuf>,
-    /// Shows only whether the log is whole.
+    /// Only checks whether the log is intact.
     #[arg(long)]
     verify: bool,
 }
@@ -27,7 +27,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         }
         Some(path) => path.clone(),
         None => panoscope_host::audit::folder()
-            .context("neither XDG_STATE_HOME nor HOME is set; name the folder of the log")?,
+            .context("neither XDG_STATE_HOME nor HOME is set; give the folder of the log")?,
     };
     let report = panoscope_host::audit::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
     if !arguments.verify {

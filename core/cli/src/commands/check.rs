@@ -31,7 +31,7 @@ pub struct Arguments {
 struct Facts {
     nodes: usize,
     edges: usize,
-    /// Options of arguments without a value; nodes that depend on them were not asked.
+    /// Options of arguments without a value; nodes that depend on them were not checked.
     missing: Vec<String>,
     listening: Vec<Listening>,
 }
@@ -48,7 +48,7 @@ impl Facts {
     }
 }
 
-/// Checks every file, however many are wrong.
+/// Checks every file, even after errors.
 pub fn run(arguments: &Arguments) -> Result<End> {
     let mut end = End::Done;
     for path in &arguments.graphs {

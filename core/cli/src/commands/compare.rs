@@ -1,4 +1,4 @@
-//! `panoscope compare`: where two runs differ first, and by how much.
+//! `panoscope compare`: the first difference of two runs, and its amount.
 
 use std::path::{Path, PathBuf};
 
@@ -18,8 +18,8 @@ pub struct Arguments {
     a: PathBuf,
     /// Another one.
     b: PathBuf,
-    /// Numbers of tables that differ by no more than this share of the larger one (of 1 at least) count as equal, and points of clouds that
-    /// lie no more than this many mm apart.
+    /// Tolerance: table values are equal if they differ by at most this share of the larger one (at least of 1), points
+    /// of clouds if they are at most this many mm apart.
     #[arg(long, default_value_t = 0.0, value_parser = tolerance)]
     tolerance: f64,
 }
@@ -28,7 +28,7 @@ fn tolerance(text: &str) -> Result<f64, NumberError> {
     number_in(text, 0.0..=f64::MAX, "number", "a number from 0 on")
 }
 
-/// Why a run cannot be compared.
+/// A run that cannot be compared.
 #[derive(Debug, thiserror::Error)]
 enum OpenError {
     /// Fingerprints that cannot be read.
@@ -61,7 +61,7 @@ impl Run {
     }
 }
 
-/// Compares two runs. Ends well when they are the same.
+/// Compares two runs. Succeeds if they are equal.
 pub fn run(arguments: &Arguments) -> Result<End> {
     let (a, b) = match (Run::open(&arguments.a), Run::open(&arguments.b)) {
         (Ok(a), Ok(b)) => (a, b),
@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     Ok(show(differences))
 }
 
-/// What a packet consists of.
+/// Name of the parts of a packet.
 fn parts(content: &Content) -> &'static str {
     match content {
         Content::Pixels => "pixels",
@@ -102,7 +102,7 @@ fn parts(content: &Content) -> &'static str {
     }
 }
 
-/// What differs in a table or cloud, in words.
+/// Description of the difference of a table or cloud.
 fn content(content: &Content) -> Option<String> {
     match content {
         Content::Pixels => None,

@@ -13,7 +13,8 @@ use crate::terminal::{log, out};
 /// Arguments of `describe`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Node type, or `plugin/type` where two plugins offer one name; or an ONNX file, for what the network wants and a graph that runs it.
+    /// Node type, or `plugin/type` if two plugins offer the name; or an ONNX file, to show its inputs and outputs and a
+    /// graph that runs it.
     #[arg(value_name = "NODE_TYPE")]
     node_type: String,
     /// As JSON: a list with one entry per plugin that offers it; of an ONNX file one object.

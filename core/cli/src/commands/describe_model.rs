@@ -1,4 +1,5 @@
-//! `panoscope describe MODEL.onnx`: what a network wants and gives, and a graph that runs it. The file is read without ONNX Runtime.
+//! `panoscope describe MODEL.onnx`: inputs and outputs of a network, and a graph that runs it. The file is read without
+//! ONNX Runtime.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -12,17 +13,17 @@ use crate::terminal::{log, out};
 
 /// Largest file that the format allows, bytes.
 const MAX_BYTES: u64 = 2 << 30;
-/// Characters of a text of the metadata that are shown.
+/// Maximum number of characters shown of a metadata text.
 const SHOWN: usize = 160;
 
-/// Why a file cannot be described.
+/// A file that cannot be described.
 #[derive(Debug, thiserror::Error)]
 enum ModelFileError {
     #[error("cannot read the model {path}: {cause}", path = path.display())]
     Unreadable { path: PathBuf, cause: std::io::Error },
     #[error("{path} is not a file, or has more than {MAX_BYTES} bytes", path = path.display())]
     NotAFile { path: PathBuf },
-    #[error("{path} is not a whole ONNX file: {cause}", path = path.display())]
+    #[error("{path} is not a complete ONNX file: {cause}", path = path.display())]
     Malformed { path: PathBuf, cause: panoscope_base::onnx::Malformed },
 }
 
@@ -143,7 +144,7 @@ fn input_ports(inputs: &[Declared]) -> Vec<Option<&'static str>> {
     ports
 }
 
-/// What an output is, guessed from its name, else from its channels.
+/// Port of an output, guessed from its name, else from its channels.
 fn output_port(output: &Declared, is_stereo: bool) -> Option<&'static str> {
     const WORDS: [(&str, &str); 11] = [
         ("disp", "disparity"),
@@ -226,7 +227,7 @@ fn table_of(model: &Signature, shapes: &[ImageShape], ports: &[Option<&'static s
     (table, made)
 }
 
-/// The graph for a model; none where no node takes its inputs.
+/// The graph for a model; `None` if no node accepts its inputs.
 fn graph_of(path: &Path, model: &Signature) -> Option<String> {
     let shapes: Vec<ImageShape> = model.inputs.iter().map(image_shape).collect::<Option<_>>()?;
     let task = model.metadata.iter().find(|(key, _)| key == "task").map(|(_, task)| task.as_str());
@@ -271,7 +272,7 @@ fn graph_of(path: &Path, model: &Signature) -> Option<String> {
 /// A model that crashes or hangs its library ends only its own process.
 const ISOLATED: &str = "[isolate]\ntools = \"networks\"\n";
 
-/// Nodes that draw an output of a network that looks at `view` into a picture file.
+/// Nodes that draw an output of a network that looks at `view` into an image file.
 fn shown(port: Option<&str>, view: &str) -> String {
     let still = |from: &str| {
         format!(

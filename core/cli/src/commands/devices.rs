@@ -22,13 +22,13 @@ pub struct Arguments {
 pub struct Device {
     /// Its file.
     pub path: PathBuf,
-    /// What its driver calls it.
+    /// Name given by its driver.
     pub name: String,
     /// Whether this user may open it; `None` when its file is missing.
     pub accessible: Option<bool>,
 }
 
-/// Video devices that give pictures, without those for metadata only.
+/// Video devices that deliver images, without those for metadata only.
 pub fn cameras() -> Vec<Device> {
     let Ok(entries) = fs::read_dir("/sys/class/video4linux") else { return Vec::new() };
     let mut numbered: Vec<(u32, Device)> = entries

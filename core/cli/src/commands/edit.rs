@@ -1,4 +1,5 @@
-//! `panoscope edit` and `panoscope theatre`: start the editor, a program of its own beside this one, so that the command needs no window system.
+//! `panoscope edit` and `panoscope theatre`: start the editor, a separate program next to this one, so that the command
+//! needs no window system.
 
 use std::path::PathBuf;
 
@@ -13,8 +14,8 @@ pub struct Arguments {
     /// Graph file.
     #[arg(required_unless_present = "attach", allow_hyphen_values = true)]
     graph: Option<PathBuf>,
-    /// Shows the graph that runs on another machine with `panoscope run --attachable`: NAME@ADDRESS as in rack@tls/10.0.0.2:7448, or a NAME of
-    /// machines.toml in the folder panoscope of the user's configuration.
+    /// Shows the graph that runs on another machine with `panoscope run --attachable`: NAME@ADDRESS as in
+    /// rack@tls/10.0.0.2:7448, or a NAME of machines.toml in the folder panoscope of the user's configuration.
     #[arg(long, value_name = "NAME[@ADDRESS]")]
     attach: Option<String>,
     /// Further arguments of the editor; `panoscope-editor --help` and `panoscope-theatre --help` show them.
@@ -22,7 +23,7 @@ pub struct Arguments {
     rest: Vec<String>,
 }
 
-/// Becomes the editor, or with `theatre` the surgeon's window.
+/// Replaces this process by the editor, or with `theatre` the surgeon's window.
 pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
     // The editor offers templates for a file that is to be; it looks after the rest.
     // With --attach the first word may be an option of the window.

@@ -1,4 +1,4 @@
-//! `panoscope keys`: certificates by which machines know each other.
+//! `panoscope keys`: certificates with which machines authenticate each other.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ use crate::End;
 pub struct Arguments {
     /// Folder for the authority's certificate and key, and a folder for each machine.
     folder: PathBuf,
-    /// Machines, each with the addresses by which others call it, as in `theatre rack=10.0.0.2`.
+    /// Machines, each with the addresses under which others reach it, as in `theatre rack=10.0.0.2`.
     #[arg(required = true, value_name = "NAME[=ADDRESS,...]")]
     machines: Vec<String>,
 }

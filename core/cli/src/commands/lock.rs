@@ -1,4 +1,5 @@
-//! `panoscope lock`: fingerprints of a graph and of all that its run depends on, signed where wanted, for the theatre to compare.
+//! `panoscope lock`: fingerprints of a graph and of all files that its run depends on, optionally signed, which the
+//! theatre compares.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +23,7 @@ pub struct Arguments {
     graph: Option<PathBuf>,
     #[command(flatten)]
     given: Given,
-    /// Compares with the lock that is there, and writes nothing. Code of a plugin runs only once the plugin was compared.
+    /// Compares with the existing lock and writes nothing. Code of a plugin runs only after the plugin was compared.
     #[arg(long)]
     verify: bool,
     /// Signs the lock with this secret key.
@@ -120,7 +121,7 @@ fn new_key(file: &Path) -> Result<End> {
 
 fn verify(path: &Path, text: &GraphText, keys: &Keys) -> Result<End> {
     let Some(was) = Lock::read(path)? else {
-        log!("error: {} was never locked: {} is not there", path.display(), lock_path(path).display());
+        log!("error: {} is not locked: {} does not exist", path.display(), lock_path(path).display());
         return Ok(End::Wrong);
     };
     let signed_by = match was.check_signature(path, &keys.trusted()?) {

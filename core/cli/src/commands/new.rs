@@ -32,10 +32,10 @@ struct Plugin {
     /// In Python instead of Rust.
     #[arg(long)]
     python: bool,
-    /// Folder to make; without it, the plugin's name.
+    /// Folder to make; default: the plugin's name.
     #[arg(long, value_name = "FOLDER")]
     dir: Option<PathBuf>,
-    /// Folder of Panoscope's own source, for `panoscope-node`; without it, where this program was built.
+    /// Folder of Panoscope's own source, for `panoscope-node`; default: where this program was built.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["c", "python"])]
     source: Option<PathBuf>,
 }
@@ -66,7 +66,7 @@ const PYTHON: &[(&str, &str)] = &[
     ("test_{{lib}}.py", include_str!("../../templates/python/test_NAME.py")),
 ];
 
-/// Names that mean something else to Rust or to cargo.
+/// Names that are reserved by Rust or cargo.
 const TAKEN: &[&str] = &[
     "abstract",
     "as",
@@ -152,7 +152,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
 }
 
-/// What a plugin is written in.
+/// Language of a plugin.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Language {
     Rust,
@@ -189,18 +189,20 @@ fn package() -> String {
 fn check_name(name: &str) -> Result<()> {
     let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || matches!(c, '-' | '_');
     if !name.starts_with(|c: char| c.is_ascii_lowercase()) || !name.chars().all(fits) || name.len() > 40 {
-        bail!("`{name}` is no name for a plugin: lower-case letters, digits, `-` and `_`, a letter first, 40 at most");
+        bail!(
+            "`{name}` is not a valid plugin name: use up to 40 lower-case letters, digits, `-` and `_`, beginning with a letter"
+        );
     }
     if TAKEN.contains(&name) {
-        bail!("`{name}` means something else to Rust or cargo; take another name");
+        bail!("`{name}` has a meaning in Rust or cargo; choose another name");
     }
     let loader = graph_file::all_plugins();
     if let Some(found) = loader.found().find(|f| f.note.name == name) {
-        bail!("there is a plugin `{name}` already: {}", found.file.display());
+        bail!("a plugin `{name}` already exists: {}", found.file.display());
     }
     let node = name.replace('-', "_");
     if let Some(found) = loader.offering(&node).first() {
-        bail!("plugin `{}` has a node type `{node}` already", found.note.name);
+        bail!("plugin `{}` already has a node type `{node}`", found.note.name);
     }
     Ok(())
 }
@@ -211,7 +213,7 @@ fn node_crate(source: Option<&Path>) -> Result<PathBuf> {
     let root = source.unwrap_or(&built_in);
     let folder = root.join("core/contract/node");
     if !folder.join("Cargo.toml").is_file() {
-        bail!("Panoscope's source is not at {}; say where it is with --source FOLDER", root.display());
+        bail!("Panoscope's source is not at {}; give its folder with --source FOLDER", root.display());
     }
     fs::canonicalize(&folder).with_context(|| folder.display().to_string())
 }
@@ -221,7 +223,7 @@ fn write(plugin: &Plugin) -> Result<PathBuf> {
     check_name(name)?;
     let folder = plugin.dir.clone().unwrap_or_else(|| PathBuf::from(name));
     if folder.exists() {
-        bail!("{} is there already; remove it, or say another folder with --dir", folder.display());
+        bail!("{} already exists; remove it, or choose another folder with --dir", folder.display());
     }
     let language = plugin.language();
     let dependency = match language {
@@ -277,7 +279,7 @@ mod tests {
                 assert!(!text.contains("{{"), "{}", path.display());
             }
             let again = write(&plugin).unwrap_err().to_string();
-            assert!(again.contains("is there already"), "{again}");
+            assert!(again.contains("already exists"), "{again}");
         }
         fs::remove_dir_all(&folder).unwrap();
     }

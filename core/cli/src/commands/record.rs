@@ -19,10 +19,11 @@ pub struct Arguments {
     /// The recording, an MCAP file.
     #[arg(long, short, value_name = "FILE.mcap")]
     output: PathBuf,
-    /// Sources make and record only the outputs that the graph reads. Smaller and faster, but another graph finds no more than this one read.
+    /// Makes and records only the source outputs that the graph reads: smaller and faster, but another graph finds only
+    /// these.
     #[arg(long)]
     read_ports_only: bool,
-    /// Stores packets as they are in memory: less work, a larger file.
+    /// Stores packets uncompressed: less work, a larger file.
     #[arg(long)]
     uncompressed: bool,
     #[command(flatten)]
@@ -30,16 +31,16 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Those of `run`.
+    /// The arguments of `run`.
     pub fn run(&self) -> &run::Arguments {
         &self.run
     }
 }
 
-/// What is kept of all nodes, not only of sources.
+/// Data recorded of all nodes, not only of sources.
 #[derive(clap::Args)]
 pub struct Ports {
-    /// Records every output of every node, to compare two recordings picture by picture.
+    /// Records every output of every node, to compare two recordings frame by frame.
     #[arg(long)]
     pub all_ports: bool,
     /// Writes a fingerprint of every packet of every port, to compare two runs.
@@ -68,7 +69,7 @@ pub fn run(arguments: &Arguments, server: Option<Box<dyn run::Server>>) -> Resul
     })
 }
 
-/// Says what a recording came to and writes its fingerprints.
+/// Reports the result of a recording and writes its fingerprints.
 pub fn told(recorded: &Recorded, file: &std::path::Path, ports: &Ports, verdict: &mut Verdict) {
     let mb = recorded.bytes as f64 / 1e6;
     log!("recorded {} source ticks, {mb:.1} MB: {}", recorded.ticks, file.display());
@@ -85,7 +86,7 @@ pub fn told(recorded: &Recorded, file: &std::path::Path, ports: &Ports, verdict:
     write_digests(recorded, ports, verdict);
 }
 
-/// Writes fingerprints, where wanted.
+/// Writes fingerprints if requested.
 pub fn write_digests(recorded: &Recorded, ports: &Ports, verdict: &mut Verdict) {
     let (Some(path), Some(digests)) = (&ports.digests, &recorded.digests) else { return };
     match digests.write(path) {

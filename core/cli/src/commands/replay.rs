@@ -1,4 +1,4 @@
-//! `panoscope replay`: a recording played again, to the byte, or another graph on its pictures.
+//! `panoscope replay`: replays a recording to the byte, or runs another graph on its frames.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -25,23 +25,23 @@ use crate::trust::OwnPlugins;
 pub struct Arguments {
     /// A recording of `panoscope record`.
     recording: PathBuf,
-    /// Runs this graph on the recorded pictures instead of the recorded one. No tick is dropped then.
+    /// Runs this graph on the recorded frames instead of the recorded graph. Then no tick is dropped.
     #[arg(long, value_name = "GRAPH")]
     graph: Option<PathBuf>,
     #[command(flatten)]
     given: Given,
     #[command(flatten)]
     own_plugins: OwnPlugins,
-    /// Sets a parameter; wins over the graph and over recorded changes. May be given again.
+    /// Sets a parameter; overrides the graph and recorded changes; repeatable.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
-    /// Ticks of each source to play; without it, all.
+    /// Ticks of each source to play; default: all.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
-    /// Threads of the pool; without it, one per core.
+    /// Threads of the pool; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Lets nodes act that write files or move things. Without it they are left out.
+    /// Runs nodes that write files or move things; by default they are skipped.
     #[arg(long)]
     act: bool,
     /// Records the replay.
@@ -55,12 +55,12 @@ pub struct Arguments {
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
-    /// Shows debug lines of nodes too.
+    /// Also shows debug lines of nodes.
     #[arg(long, short)]
     verbose: bool,
 }
 
-/// What is wrong with the arguments, if anything.
+/// The mistake in the arguments, if there is one.
 fn mistake(arguments: &Arguments) -> Option<String> {
     if arguments.ports.all_ports && arguments.output.is_none() {
         return Some("--all-ports says what the recording of the replay holds: name one with -o FILE.mcap".to_owned());
@@ -71,7 +71,7 @@ fn mistake(arguments: &Arguments) -> Option<String> {
     is_played.then(|| format!("-o {recording} is the recording that is played; name another file"))
 }
 
-/// How the replay runs; `graph` replaces the recorded one.
+/// Options of the replay; `graph` replaces the recorded one.
 fn options(
     arguments: &Arguments,
     graph: Option<(PathBuf, String)>,
@@ -107,7 +107,7 @@ fn options(
     }
 }
 
-/// Says why a replay did not start.
+/// Reports why a replay did not start.
 fn not_started(error: &ReplayError) -> End {
     match error {
         ReplayError::Check(diagnostics) => {

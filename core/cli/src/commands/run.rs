@@ -31,7 +31,7 @@ use crate::{End, allocations, beside, interrupt, summary};
 
 use super::windows;
 
-/// How long nodes may take to finish after the end of a run was asked for.
+/// Time limit for nodes to finish after the end of a run was requested.
 pub const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Arguments of `run`.
@@ -39,28 +39,29 @@ pub const PATIENCE: Duration = Duration::from_secs(30);
 pub struct Arguments {
     /// Graph file.
     graph: PathBuf,
-    /// Sets a parameter; wins over the file. May be given again.
+    /// Sets a parameter; overrides the file; repeatable.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
     given: Given,
-    /// Ticks that each source makes; without it, until the sources end or Ctrl-C.
+    /// Ticks that each source makes; default: until the sources end or Ctrl-C.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
-    /// Threads of the pool; without it, one per core.
+    /// Threads of the pool; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Neither windows nor a progress bar: plain lines, as for a machine without a screen.
+    /// Neither windows nor a progress bar: plain lines, for a machine without a screen.
     #[arg(long)]
     headless: bool,
-    /// Sources of a live graph do not wait for the capture time of a frame: as fast as the graph takes them.
+    /// Sources of a live graph run as fast as the graph accepts frames instead of waiting for capture times.
     #[arg(long)]
     unpaced: bool,
-    /// Applies what changes on disk while the graph runs: the graph file, or a rebuilt plugin. What is wrong is shown, and the old graph runs on.
+    /// Applies changes on disk while the graph runs: of the graph file, or a rebuilt plugin. Mistakes are shown, and
+    /// the old graph keeps running.
     #[arg(long)]
     watch: bool,
-    /// Runs only what the lock beside the graph file has: files are compared before anything of them is used, and nodes read copies that nobody
-    /// can change. --set takes only what the graph's `[preset]` offers.
+    /// Runs only files of the lock next to the graph file: they are compared before use, and nodes read immutable
+    /// copies. --set accepts only parameters that the graph's `[preset]` offers.
     #[arg(long, conflicts_with = "watch")]
     lock: bool,
     #[command(flatten)]
@@ -70,28 +71,30 @@ pub struct Arguments {
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
-    /// Writes at the end what each thread did and when, for the viewer at ui.perfetto.dev: the newest million calls, with their ticks and bytes.
+    /// Writes at the end what each thread did and when, for the viewer at ui.perfetto.dev: the newest million calls,
+    /// with their ticks and bytes.
     #[arg(long, value_name = "FILE.json")]
     trace: Option<PathBuf>,
-    /// Appends faults as JSON lines: time, node, cause, what was done.
+    /// Appends faults as JSON lines: time, node, cause, response.
     #[arg(long, value_name = "FILE")]
     fault_log: Option<PathBuf>,
-    /// Shows debug lines of nodes too.
+    /// Also shows debug lines of nodes.
     #[arg(long, short)]
     verbose: bool,
-    /// How lines on standard error are written; `json` writes one object per line: time, level, node (empty for the command itself), message.
+    /// Format of lines on standard error; `json` writes one object per line: time, level, node (empty for the command
+    /// itself), message.
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
-    /// Serves a page with pictures, ages and states, and metrics for Prometheus at /metrics, for reading only: a port of this machine such as 9464,
-    /// or IP:PORT. Whoever reaches the address sees the pictures; there is no password.
+    /// Serves a page with images, ages and states, and metrics for Prometheus at /metrics, for reading only: a port of
+    /// this machine such as 9464, or IP:PORT. Anyone who can reach the address sees the images; there is no password.
     #[arg(long, value_name = "PORT|IP:PORT")]
     web: Option<Address>,
-    /// Serves outputs and parameters to Foxglove over a WebSocket: a port of this machine such as 8765, or IP:PORT. Whoever reaches the address sees
-    /// the pictures; there is no password.
+    /// Serves outputs and parameters to Foxglove over a WebSocket: a port of this machine such as 8765, or IP:PORT.
+    /// Anyone who can reach the address sees the images; there is no password.
     #[arg(long, value_name = "PORT|IP:PORT")]
     foxglove: Option<Address>,
-    /// Lets clients of --foxglove set numbers, switches and choices: those that `[preset]` pins, without pins those of all nodes that do not act on
-    /// the world.
+    /// Lets clients of --foxglove set numbers, switches and choices: those that `[preset]` pins or, without pins, those
+    /// of all nodes without side effects.
     #[arg(long, requires = "foxglove")]
     foxglove_set: bool,
     #[command(flatten)]
@@ -110,7 +113,7 @@ pub trait Server {
     /// Starts to listen, before the graph of this name runs.
     ///
     /// # Errors
-    /// The address cannot be listened on.
+    /// The address cannot be used.
     fn start(&mut self, graph: &str) -> Result<()>;
     /// Passes on what is new; called ten times a second.
     fn update(&mut self, live: &mut Live<&Engine>);
@@ -124,27 +127,27 @@ pub fn run(arguments: &Arguments, server: Option<Box<dyn Server>>) -> Result<End
     })
 }
 
-/// What became of a run.
+/// Result of a run.
 pub enum RunEnd {
-    /// It did not begin; why has been said.
+    /// It did not begin; the reason has been reported.
     Not(End),
-    /// It is over; [`conclude`] prints the verdict.
+    /// It has ended; [`conclude`] prints the verdict.
     Over {
-        /// What it came to.
+        /// Verdict on the run.
         verdict: Verdict,
-        /// What its recording came to.
+        /// Result of its recording.
         recorded: Option<Box<Recorded>>,
     },
 }
 
-/// A checked graph, with the files that it may read where it runs under its lock.
+/// A checked graph, with its sealed files if it runs under its lock.
 type Opened = (Ready, Option<Arc<Seal>>);
 
-/// Reads and checks the graph, under its lock where that is wanted; or what is wrong, in words.
+/// Reads and checks the graph, under its lock if requested.
 fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, String>> {
     if arguments.isolated.is_on() && (arguments.watch || arguments.lock) {
         let why = "a changed file may name other plugins, and a lock names its own";
-        return Ok(Err(format!("error: --isolate-plugins goes neither with --watch nor with --lock: {why}")));
+        return Ok(Err(format!("error: --isolate-plugins cannot be used with --watch or --lock: {why}")));
     }
     let path = &arguments.graph;
     let rendered = |diagnostics: Diagnostics| diagnostics.render(stderr_color());
@@ -202,14 +205,14 @@ fn is_offered(graph: &Graph, catalog: &Catalog, setting: &str) -> bool {
 pub struct Running<'e> {
     /// Its engine and its text.
     pub live: Live<&'e Engine>,
-    /// What it was checked against.
+    /// Catalogue that it was checked against.
     pub catalog: &'e Catalog,
     /// Nodes whose faults do not fail the run, because the command causes them.
     pub expected_faults: BTreeSet<String>,
 }
 
-/// Runs a graph to its end, recorded where wanted, with a look at it ten times a second. Without a server `--foxglove` is left to the program that
-/// has one.
+/// Runs a graph to its end, optionally recorded, and updates observers ten times a second. Without a server,
+/// `--foxglove` is left to the program that has one.
 pub fn run_with(
     arguments: &Arguments,
     record: Option<RecordOptions>,
@@ -347,7 +350,8 @@ pub fn run_with(
     Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
 }
 
-/// Closes a run that is over or to end, shows its summary and judges it. Faults of the nodes in `expected_faults` do not fail it.
+/// Closes a finished or cancelled run, shows its summary and evaluates it. Faults of the nodes in `expected_faults` do
+/// not fail it.
 pub fn close(
     engine: &Engine,
     on_duty: signals::OnDuty,
@@ -368,7 +372,7 @@ pub fn close(
     judge(&Facts { report: &report, faults: &faults, outcome: &outcome, bypassed, frames, stopped_by })
 }
 
-/// Tells the verdict: what was wrong, and the line that stands last.
+/// Prints the verdict: the findings and the last line.
 pub fn conclude(verdict: &Verdict) -> End {
     for finding in &verdict.findings {
         match finding.weight {
@@ -383,7 +387,7 @@ pub fn conclude(verdict: &Verdict) -> End {
 /// A stopped run did not end within [`PATIENCE`].
 struct OutOfPatience;
 
-/// Shows progress until the end of the run, or until the user's patience with a stopped one is over.
+/// Shows progress until the end of the run, or until [`PATIENCE`] with a stopped one is over.
 pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
     let mut stopped: Option<Instant> = None;
     // Closing the engine names the nodes that do not return.
@@ -404,7 +408,7 @@ pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
     });
 }
 
-/// Makes the running graph what the files say now, or says why not.
+/// Applies the changed files to the running graph, or reports why not.
 fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphOptions) {
     let changed = files.poll();
     let mut results = Vec::new();
@@ -420,7 +424,7 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphO
                 files.set_files(parts.into_iter(), applied.is_err());
                 results.push(applied);
             }
-            Err(diagnostics) => log!("{}\nthe old graph runs on", diagnostics.render(stderr_color()).trim_end()),
+            Err(diagnostics) => log!("{}\nthe old graph keeps running", diagnostics.render(stderr_color()).trim_end()),
         }
     }
     for result in results {
@@ -432,14 +436,14 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphO
     }
 }
 
-/// Writes the report; one that cannot be written is a failure, which does not hide what else the run came to.
+/// Writes the report; a failure to write is reported without hiding the result of the run.
 pub fn report_into(path: &Path, report: &Report, verdict: &mut Verdict) {
     if let Err(error) = write_report(path, report) {
         verdict.add(Weight::Error, format!("{error:#}"));
     }
 }
 
-/// Writes the report in one step, so that nobody reads half of it.
+/// Writes the report atomically, so that no reader sees a partial file.
 fn write_report(path: &Path, report: &Report) -> Result<()> {
     let text = serde_json::to_string_pretty(report)? + "\n";
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {

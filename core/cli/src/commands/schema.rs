@@ -10,7 +10,8 @@ use crate::terminal::{log, out};
 /// Arguments of `schema`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Node types as a stub for graphs that are built in Python, `catalogue.pyi` of the package, in place of the JSON Schema.
+    /// Node types as a stub for graphs that are built in Python, `catalogue.pyi` of the package, instead of the JSON
+    /// Schema.
     #[arg(long)]
     python: bool,
 }

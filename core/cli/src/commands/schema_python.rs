@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use panoscope_graph::{Catalog, NodeType, Param, ParamKind, Pick, Port};
 
-/// Words that no argument of Python may be.
+/// Python keywords, which cannot be argument names.
 const KEYWORDS: [&str; 35] = [
     "False", "None", "True", "and", "as", "assert", "async", "await", "break", "class", "continue", "def", "del",
     "elif", "else", "except", "finally", "for", "from", "global", "if", "import", "in", "is", "lambda", "nonlocal",
@@ -24,8 +24,8 @@ from .building import Arg, File, Flag, Input, Inputs, Node, NodeOptions, Number,
 
 ";
 
-/// The stub `catalogue.pyi` of the Python package: a class with a method for each node type whose name no other plugin has, and a class of the
-/// outputs of each.
+/// The stub `catalogue.pyi` of the Python package: a class with a method for each node type whose name no other plugin
+/// has, and a class of the outputs of each.
 pub fn stub(catalog: &Catalog) -> String {
     let mut types: Vec<&NodeType> = catalog.node_types.iter().filter(|t| catalog.find(&t.name).len() == 1).collect();
     types.sort_by(|a, b| a.name.cmp(&b.name));
@@ -44,7 +44,7 @@ pub fn stub(catalog: &Catalog) -> String {
     out
 }
 
-/// A name, with `_` behind it if it is a word of Python.
+/// A name, with a trailing `_` if it is a Python keyword.
 fn named(name: &str) -> String {
     if KEYWORDS.contains(&name) { format!("{name}_") } else { name.to_owned() }
 }
@@ -105,7 +105,7 @@ fn words(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// The argument for a parameter: its name, with `_` behind it where Python, an input or an option has that name.
+/// The argument for a parameter: its name, with a trailing `_` if Python, an input or an option uses that name.
 fn argument(param: &Param, inputs: &[&Port]) -> String {
     let name = param.name.as_str();
     let is_taken = KEYWORDS.contains(&name) || OPTIONS.contains(&name) || inputs.iter().any(|port| port.name == name);

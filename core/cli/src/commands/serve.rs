@@ -1,4 +1,4 @@
-//! `panoscope serve`: runs nodes of graphs of other machines. The program that links machines does it.
+//! `panoscope serve`: runs nodes of graphs of other machines. The program that links machines does the work.
 
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
@@ -21,28 +21,28 @@ pub struct Arguments {
     /// Hosts that may run nodes here, by the names in their certificates.
     #[arg(long, value_name = "NAME")]
     allow: Vec<String>,
-    /// Folder with the keys of this machine, made by `panoscope keys`; PANOSCOPE_KEYS where it is not given.
+    /// Folder with the keys of this machine, made by `panoscope keys`; default: PANOSCOPE_KEYS.
     #[arg(long, value_name = "DIR")]
     keys: Option<PathBuf>,
-    /// Folder that stands for the folder of a host's graph: relative paths of nodes begin here.
+    /// Folder that replaces the folder of a host's graph, for relative paths of nodes.
     #[arg(long, value_name = "DIR", default_value = ".")]
     graph_dir: PathBuf,
-    /// Listens without encryption, and takes every host, also where other machines reach the address.
+    /// Listens without encryption and accepts every host, even if other machines can reach the address.
     #[arg(long)]
     plaintext: bool,
 }
 
-/// The program that links machines: it is beside this one.
+/// The program that links machines: it is next to this one.
 pub(super) fn machine_program() -> Result<Command> {
     let folder = panoscope_base::program::folder().unwrap_or_default();
     let program = folder.join(MACHINE_PROGRAM);
     if !program.is_file() {
-        bail!("the program {} is missing, which links machines; install Panoscope again", program.display());
+        bail!("the program {}, which links machines, is missing; install Panoscope again", program.display());
     }
     Ok(Command::new(program))
 }
 
-/// Becomes the program that serves.
+/// Replaces this process by the serving program.
 pub fn run(arguments: &Arguments) -> Result<End> {
     let Arguments { name, listen, allow, keys, graph_dir, plaintext } = arguments;
     let mut command = machine_program()?;

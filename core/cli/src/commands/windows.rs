@@ -7,31 +7,33 @@ use panoscope_host::attach::{AttachError, Attachable, Options};
 
 use crate::terminal::log;
 
-/// How windows of other machines may attach.
+/// Settings for windows of other machines.
 #[derive(clap::Args)]
 #[group(id = "windows")]
 pub struct Arguments {
-    /// Lets `panoscope edit --attach` and `panoscope theatre --attach` of other machines show the running graph: tls/IP:PORT with keys of `panoscope
-    /// keys`, or tcp/127.0.0.1:PORT for windows of this machine. Windows only read, unless --allow-edit names their machine.
+    /// Lets `panoscope edit --attach` and `panoscope theatre --attach` of other machines show the running graph:
+    /// tls/IP:PORT with keys of `panoscope keys`, or tcp/127.0.0.1:PORT for windows of this machine. Windows only read,
+    /// unless --allow-edit names their machine.
     #[arg(long, value_name = "ADDRESS")]
     attachable: Option<String>,
-    /// Name of this machine for windows; the one of its keys where it is not given.
+    /// Name of this machine for windows; default: the name in its keys.
     #[arg(long, value_name = "NAME", requires = "attachable")]
     attachable_name: Option<String>,
-    /// Machine whose windows may read, by the name in its certificate. May be given again.
+    /// Machine whose windows may read, by the name in its certificate; repeatable.
     #[arg(long, value_name = "NAME", requires = "attachable")]
     allow_read: Vec<String>,
-    /// Machine whose windows may read and change the graph: what the nodes that are installed here can do, with the rights of this user, but no
-    /// emergency stop and no other plugins. `unnamed` are the windows of this machine at tcp/. May be given again.
+    /// Machine whose windows may read and change the graph: with all that installed nodes can do with the rights of
+    /// this user, but no emergency stop and no other plugins. `unnamed` means windows of this machine over tcp/.
+    /// Repeatable.
     #[arg(long, value_name = "NAME", requires = "attachable")]
     allow_edit: Vec<String>,
-    /// Folder with the keys of this machine, made by `panoscope keys`; PANOSCOPE_KEYS where it is not given.
+    /// Folder with the keys of this machine, made by `panoscope keys`; default: PANOSCOPE_KEYS.
     #[arg(long, value_name = "DIR", requires = "attachable")]
     keys: Option<PathBuf>,
 }
 
 impl Arguments {
-    /// Listens for windows, where that is asked for, and says so.
+    /// Listens for windows, if requested, and reports it.
     pub fn start(&self) -> Result<Option<Attachable>, AttachError> {
         let Some(address) = &self.attachable else { return Ok(None) };
         let attachable = Attachable::start(Options {
@@ -53,7 +55,7 @@ impl Arguments {
     }
 }
 
-/// Runs `work`, and beside it what windows get of the engine.
+/// Runs `work`, and serves windows of the engine meanwhile.
 pub fn beside(windows: Option<&Attachable>, engine: &Engine, work: impl FnOnce()) {
     let Some(windows) = windows else { return work() };
     std::thread::scope(|scope| {
@@ -67,7 +69,7 @@ pub fn beside(windows: Option<&Attachable>, engine: &Engine, work: impl FnOnce()
     });
 }
 
-/// Tells windows that the run is over.
+/// Tells windows that the run has ended.
 struct Finish<'w>(&'w Attachable);
 
 impl Drop for Finish<'_> {

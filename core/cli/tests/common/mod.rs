@@ -30,8 +30,8 @@ pub fn has_plugins(path: &OsStr, names: &[&str]) -> bool {
     names.iter().all(|name| std::env::split_paths(path).any(|folder| has(&folder, name)))
 }
 
-/// Search path with these plugins: `PANOSCOPE_PLUGIN_PATH` if it has all of them, else the folder that cargo builds them
-/// into now.
+/// Search path with these plugins: `PANOSCOPE_PLUGIN_PATH` if it has all of them, else the folder that cargo builds
+/// them into now.
 pub fn built_plugins(names: &[&str]) -> OsString {
     let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
     if has_plugins(&given, names) {

@@ -59,9 +59,9 @@ pub const CALL_WIRED: u32 = 2;
 
 /// In [`ValidateCall::invalid`]: the node cannot open, or no tick of it can succeed.
 pub const PROBLEM_ERROR: u32 = 1;
-/// In [`ValidateCall::invalid`]: the node works, but probably not as meant.
+/// In [`ValidateCall::invalid`]: the node works, but probably not as intended.
 pub const PROBLEM_WARNING: u32 = 2;
-/// In [`ValidateCall::invalid`]: the problem is of the node as a whole.
+/// In [`ValidateCall::invalid`]: the problem concerns the whole node, not one parameter.
 pub const NO_PARAM: u32 = 0xFFFF_FFFF;
 
 /// Arguments of [`crate::NodeType::validate`].
@@ -88,8 +88,8 @@ pub struct ValidateCall {
     pub connections_len: usize,
     /// Bit `i` is set when output `i` has a reader (outputs above 63 count as read).
     pub outputs_read: u64,
-    /// Takes one problem: a `PROBLEM_` severity, the position of the parameter it is about (or [`NO_PARAM`]), what is wrong in one
-    /// sentence, and what to do about it (may be empty). Texts are copied.
+    /// Takes one problem: a `PROBLEM_` severity, the position of the parameter it is about (or [`NO_PARAM`]), what is
+    /// wrong in one sentence, and what to do about it (may be empty). Texts are copied.
     pub invalid: Option<unsafe extern "C" fn(call: *mut c_void, severity: u32, param: u32, message: Str, help: Str)>,
 }
 
@@ -115,7 +115,8 @@ pub struct Call {
     pub input_ranges: *const PortRange,
     /// Count of `input_ranges`.
     pub input_ranges_len: usize,
-    /// One frame per declared output port, empty at the start of the call; filled by [`Host::alloc`] and [`Host::forward`].
+    /// One frame per declared output port, empty at the start of the call; filled by [`Host::alloc`] and
+    /// [`Host::forward`].
     pub outputs: *mut Frame,
     /// Count of `outputs`.
     pub outputs_len: usize,
@@ -135,12 +136,12 @@ pub const LOG_ERROR: u32 = 1;
 pub const LOG_WARN: u32 = 2;
 /// Progress.
 pub const LOG_INFO: u32 = 3;
-/// For whoever debugs the node.
+/// Details for debugging the node.
 pub const LOG_DEBUG: u32 = 4;
 
-/// What the host offers. One table per plugin; valid until the process ends.
+/// Functions of the host. One table per plugin; valid until the process ends.
 ///
-/// Functions that take a `call` want the handle of the running [`Call`] or [`OpenCall`].
+/// Functions that take a `call` expect the handle of the running [`Call`] or [`OpenCall`].
 #[repr(C)]
 #[derive(Debug)]
 pub struct Host {
@@ -154,7 +155,8 @@ pub struct Host {
     pub threads: u32,
     /// Handle for `parallel_for`, `retain`, `release` and `resolve`.
     pub ctx: *mut c_void,
-    /// Makes output `output` of the running call: a buffer of `len` bytes, described by the other arguments. Contents are unspecified.
+    /// Makes output `output` of the running call: a buffer of `len` bytes, described by the other arguments. Contents
+    /// are unspecified.
     pub alloc: Option<
         unsafe extern "C" fn(
             call: *mut c_void,
@@ -166,7 +168,8 @@ pub struct Host {
             len: usize,
         ) -> Status,
     >,
-    /// Makes output `output` the same buffer as `frame` (an input of this call, or a retained frame). Nothing is copied.
+    /// Makes output `output` the same buffer as `frame` (an input of this call, or a retained frame). Nothing is
+    /// copied.
     pub forward: Option<unsafe extern "C" fn(call: *mut c_void, output: u32, frame: *const Frame) -> Status>,
     /// Makes sure that output `output` is shared with nobody, by a counted copy if need be, so that it may be written.
     pub make_mut: Option<unsafe extern "C" fn(call: *mut c_void, output: u32) -> Status>,
@@ -181,35 +184,41 @@ pub struct Host {
         Option<unsafe extern "C" fn(ctx: *mut c_void, chunks: usize, body: ChunkFn, data: *mut c_void) -> Status>,
     /// A line for the host's log, with the node's name added by the host.
     pub log: Option<unsafe extern "C" fn(call: *mut c_void, level: u32, message: Str)>,
-    /// Gives the words of a fault. With `STATUS_ERROR` or `STATUS_PANIC` they say why the call failed; with `STATUS_END`, why the source
-    /// ended too early; with `STATUS_OK`, what went wrong although the node goes on. Each is one fault of the node.
+    /// Reports the message of a fault. With `STATUS_ERROR` or `STATUS_PANIC` it says why the call failed; with
+    /// `STATUS_END`, why the source ended too early; with `STATUS_OK`, the reported problem, although the node
+    /// continues. Each call counts as one fault of the node.
     pub fail: Option<unsafe extern "C" fn(call: *mut c_void, message: Str)>,
-    /// A named number of the node, shown beside its timing.
+    /// A named number of the node, shown next to its timing.
     pub metric: Option<unsafe extern "C" fn(call: *mut c_void, name: Str, value: f64)>,
     /// The next number of a generator seeded by node and tick: the same in every run.
     pub random: Option<unsafe extern "C" fn(call: *mut c_void) -> u64>,
     /// Takes bytes of [`crate::NodeType::save_state`].
     pub save: Option<unsafe extern "C" fn(sink: *mut c_void, bytes: *const u8, len: usize)>,
-    /// Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. `file`, which may be null, is
-    /// set to a text that is valid until the call ends. With `STATUS_OK` that is the path to write. For [`CLAIM_HOLD`] it is the same in the
-    /// whole run; otherwise it is `path` itself the first time in a run, later `name.part2.ending` and so on, so that nothing written in this
-    /// run is cut off. With `STATUS_INVALID` it is the name of the open node that writes the file, with `STATUS_ERROR` a message: another run
-    /// writes it.
+    /// Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant.
+    /// `file`, which may be null, is set to a text that is valid until the call ends. With `STATUS_OK` that is the path
+    /// to write. For [`CLAIM_HOLD`] it is the same in the whole run; otherwise it is `path` itself the first time in a
+    /// run, later `name.part2.extension` and so on, so that nothing written in this run is cut off. With
+    /// `STATUS_INVALID` it is the name of the open node that writes the file, with `STATUS_ERROR` a message: another
+    /// run writes it.
     pub claim_file: Option<unsafe extern "C" fn(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status>,
-    /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
+    /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend
+    /// on it.
     pub clock_ns: Option<unsafe extern "C" fn(call: *mut c_void) -> i64>,
-    /// For a source: when the light (or the packet) of this tick arrived, by the clock of [`Host::clock_ns`]. All ages count from there. A
-    /// time in the future counts as now. Without this call a tick arrives when it enters the graph.
+    /// For a source: when the light (or the packet) of this tick arrived, by the clock of [`Host::clock_ns`]. All ages
+    /// count from there. A time in the future counts as now. Without this call a tick arrives when it enters the graph.
     pub set_arrived_ns: Option<unsafe extern "C" fn(call: *mut c_void, arrived_ns: i64)>,
-    /// When the light of an input frame arrived, by the clock of [`Host::clock_ns`]; `input` is an index into [`Call::inputs`] or
-    /// [`INPUT_TICK`]. For times between two arrivals. Where results must not depend on the wall clock (`batch`), the capture time. A replay
-    /// returns what the recorded run returned. `INT64_MIN` for an empty frame and where the time is unknown.
+    /// When the light of an input frame arrived, by the clock of [`Host::clock_ns`]; `input` is an index into
+    /// [`Call::inputs`] or [`INPUT_TICK`]. For times between two arrivals. Where results must not depend on the wall
+    /// clock (`batch`), the capture time. A replay returns what the recorded run returned. `INT64_MIN` for an empty
+    /// frame and where the time is unknown.
     pub arrived_ns: Option<unsafe extern "C" fn(call: *mut c_void, input: u32) -> i64>,
-    /// Age of the light of an input frame: the time from [`Host::arrived_ns`] to this call. All answers during one call are for the same
-    /// moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is `INT64_MIN`.
+    /// Age of the light of an input frame: the time from [`Host::arrived_ns`] to this call. All answers during one call
+    /// are for the same moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is
+    /// `INT64_MIN`.
     pub age_ns: Option<unsafe extern "C" fn(call: *mut c_void, input: u32) -> i64>,
-    /// The outputs of this call show light that is older than that of its tick by this: held or predicted values. Readers see this age. An
-    /// output never looks younger than the oldest input. A source uses [`Host::set_arrived_ns`].
+    /// Declares that the outputs of this call show light older than the tick's by this many ns (held or predicted
+    /// values). Readers see this age. An output never looks younger than the oldest input. A source uses
+    /// [`Host::set_arrived_ns`].
     pub set_lag_ns: Option<unsafe extern "C" fn(call: *mut c_void, lag_ns: i64)>,
 }
 
@@ -218,9 +227,9 @@ pub const INPUT_TICK: u32 = 0xFFFF_FFFF;
 
 /// The node is going to write the file: no other node may.
 pub const CLAIM_HOLD: u32 = 0;
-/// The node begins to write: the answered file may be created anew. One of an earlier run is replaced.
+/// The node begins to write: the returned file may be created or truncated. One of an earlier run is replaced.
 pub const CLAIM_BEGIN: u32 = 1;
-/// As [`CLAIM_BEGIN`], but a file that exists is never answered.
+/// As [`CLAIM_BEGIN`], but the returned path never exists yet.
 pub const CLAIM_BEGIN_NEW: u32 = 2;
 
 // SAFETY: the table is immutable and its functions may be called from any thread.

@@ -27,7 +27,7 @@ pub const PARAM_BOOL: u32 = 1;
 pub const PARAM_INT: u32 = 2;
 /// A number.
 pub const PARAM_FLOAT: u32 = 3;
-/// One of a list of words.
+/// One of a fixed list of names.
 pub const PARAM_CHOICE: u32 = 4;
 /// Any text.
 pub const PARAM_TEXT: u32 = 5;
@@ -36,21 +36,21 @@ pub const PARAM_PATH: u32 = 6;
 /// A list of numbers.
 pub const PARAM_FLOATS: u32 = 7;
 
-/// A change closes the node and opens it again.
+/// A change closes the node and reopens it.
 pub const PARAM_REOPEN: u32 = 1;
 /// The file named by the path must exist when the graph is checked.
 pub const PARAM_MUST_EXIST: u32 = 2;
-/// The numbers are points of a picture in px: u, v, u, v, ... The picture is the first one that the node reads, or the first one
-/// that a source makes.
+/// The numbers are points of an image in px: u, v, u, v, ... The image is the first one that the node reads, or the
+/// first one that a source makes.
 pub const PARAM_POINTS: u32 = 4;
-/// The numbers are rectangles of a picture in px: x, y, width, height, ... The picture is as for points.
+/// The numbers are rectangles of an image in px: x, y, width, height, ... The image is as for points.
 pub const PARAM_RECTANGLES: u32 = 8;
 /// The text may name a file or folder, relative to the graph file.
 pub const PARAM_FILE: u32 = 16;
-/// The node writes the file that the path names; the path may hold place holders such as `{seq}`.
+/// The node writes the file that the path names; the path may hold placeholders such as `{seq}`.
 pub const PARAM_WRITES: u32 = 32;
-/// The default of the path names a file that comes with the plugin: relative to the folder beside the plugin's library that has the
-/// plugin's name, not to the graph file.
+/// The default of the path names a file that comes with the plugin: relative to the folder next to the plugin's library
+/// that has the plugin's name, not to the graph file.
 pub const PARAM_SHIPPED: u32 = 64;
 
 /// Bit of [`crate::FORMAT_GRAY8`] and so on in [`Port::formats`].
@@ -64,7 +64,7 @@ pub const fn format_bit(format: u32) -> u32 {
 pub struct Port {
     /// Name in graph files.
     pub name: Str,
-    /// What flows, for people.
+    /// Description of the data, for users.
     pub doc: Str,
     /// Name of the packet type: `image`, `disparity`, ... or a plugin's own.
     pub packet: Str,
@@ -82,13 +82,14 @@ pub struct Port {
 pub struct Param {
     /// Name in graph files.
     pub name: Str,
-    /// What it does, for people.
+    /// Description of its effect, for users.
     pub doc: Str,
     /// Unit such as `px`, `mm`, `ms`; empty for none.
     pub unit: Str,
     /// One of the `PARAM_` kinds.
     pub kind: u32,
-    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`, `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, `PARAM_WRITES`, `PARAM_SHIPPED`.
+    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`, `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, `PARAM_WRITES`,
+    /// `PARAM_SHIPPED`.
     pub flags: u32,
     /// Default of `PARAM_BOOL`, `PARAM_INT`, `PARAM_FLOAT`; index of the default `PARAM_CHOICE`.
     pub default_number: f64,
@@ -100,7 +101,7 @@ pub struct Param {
     pub step: f64,
     /// Default of `PARAM_TEXT` and `PARAM_PATH`.
     pub default_text: Str,
-    /// Words of a `PARAM_CHOICE`.
+    /// Names of the entries of a `PARAM_CHOICE`.
     pub choices: *const Str,
     /// Count of `choices`.
     pub choices_len: usize,
@@ -126,7 +127,7 @@ pub struct NodeType {
     pub name: Str,
     /// Family: source, stereo, stitch, tools, arm, overlay, sink, filter.
     pub family: Str,
-    /// What the node does, for people.
+    /// Description of the node, for users.
     pub doc: Str,
     /// Input ports.
     pub inputs: *const Port,
@@ -146,15 +147,16 @@ pub struct NodeType {
     pub process: Option<unsafe extern "C" fn(instance: *mut c_void, call: *mut Call) -> Status>,
     /// Finishes files, gives back devices and frees the instance.
     pub close: Option<unsafe extern "C" fn(instance: *mut c_void)>,
-    /// Optional: gives the state worth keeping to [`Host::save`].
+    /// Optional: passes the instance's state to [`Host::save`].
     pub save_state: Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, sink: *mut c_void) -> Status>,
     /// Optional: takes the bytes that an earlier instance saved.
     pub load_state: Option<unsafe extern "C" fn(instance: *mut c_void, bytes: *const u8, len: usize) -> Status>,
-    /// Optional: reports to [`ValidateCall::invalid`] what [`NodeType::open`] or a first tick would refuse about parameters and wiring. Opens
-    /// no device, writes nothing and makes no instance; may be called at any time, from any thread. Since `ABI_MINOR` 2.
+    /// Optional: reports to [`ValidateCall::invalid`] parameters and wiring that [`NodeType::open`] or the first tick
+    /// would refuse. Opens no device, writes nothing and makes no instance; may be called at any time, from any thread.
+    /// Since `ABI_MINOR` 2.
     pub validate: Option<unsafe extern "C" fn(call: *mut ValidateCall) -> Status>,
-    /// Optional: completes files before [`NodeType::close`] and says through [`Host::fail`] what could not be written. `call` is the handle
-    /// for host functions that take one. Since `ABI_MINOR` 2.
+    /// Optional: completes files before [`NodeType::close`] and reports through [`Host::fail`] what could not be
+    /// written. `call` is the handle for host functions that take one. Since `ABI_MINOR` 2.
     pub finish: Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status>,
 }
 
@@ -162,7 +164,7 @@ impl NodeType {
     /// Bytes of the descriptor of the first minor version: fields after it may be missing.
     pub const FIRST_SIZE: usize = core::mem::offset_of!(NodeType, validate);
 
-    /// [`NodeType::finish`], where the plugin is new enough to have the field.
+    /// [`NodeType::finish`]; `None` when the plugin is older than this field.
     pub fn finish_function(
         &self,
     ) -> Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status> {
@@ -171,7 +173,7 @@ impl NodeType {
     }
 }
 
-/// What a plugin is.
+/// Descriptor that a plugin exports.
 #[repr(C)]
 #[derive(Debug)]
 pub struct Plugin {
@@ -189,7 +191,7 @@ pub struct Plugin {
     pub name: Str,
     /// Version for people.
     pub version: Str,
-    /// What the plugin is for.
+    /// Purpose of the plugin.
     pub doc: Str,
     /// Node types, one pointer each.
     pub node_types: *const *const NodeType,

@@ -8,8 +8,9 @@ use core::ffi::c_void;
 pub struct Tick {
     /// Which source of the graph.
     pub source: u32,
-    /// How much older the light of a packet is than that of its tick: the oldest in the upper 20 bits, the newest in the lower 12. Both are
-    /// rounded up to 10 us and have a 5-bit exponent above their digits. The host sets it; see [`crate::Host::set_lag_ns`].
+    /// Lag of the packet's light behind that of its tick: of the oldest light in the upper 20 bits, of the newest in
+    /// the lower 12. Both are rounded up to 10 us and have a 5-bit exponent above their digits. The host sets it; see
+    /// [`crate::Host::set_lag_ns`].
     pub flags: u32,
     /// Counts the source's calls from 0.
     pub seq: u64,
@@ -44,13 +45,13 @@ pub const FORMAT_F32: u32 = 5;
 /// Sixteen bytes per point, see [`crate::CloudPoint`].
 pub const FORMAT_CLOUD: u32 = 6;
 
-/// One packet as a node sees it: a borrowed buffer and what stands in it.
+/// One packet as a node sees it: a borrowed buffer and the layout of its content.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Frame {
     /// The buffer; `pool` 0 means that the port is empty for this tick.
     pub buffer: BufferId,
-    /// The bytes, resolved by the host for the length of the call.
+    /// First byte of the payload; valid during the call.
     pub data: *mut u8,
     /// Bytes in use.
     pub len: usize,
@@ -96,7 +97,7 @@ unsafe impl Sync for Frame {}
 pub struct PortRange {
     /// Index of the first frame.
     pub first: u32,
-    /// How many frames; 1 except for list ports.
+    /// Number of frames; 1 except for list ports.
     pub count: u32,
 }
 

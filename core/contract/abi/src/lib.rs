@@ -1,11 +1,11 @@
 //! The binary contract between the Panoscope host and its plugins.
 //!
-//! Only `repr(C)` data crosses: no type whose layout Rust chooses, no trait object, no allocation that
-//! one side makes and the other frees. Fields are only ever appended; every struct that may grow opens with its
-//! own size. `panoscope.h` beside this crate is generated from these files.
+//! Only `repr(C)` data crosses: no type whose layout Rust chooses, no trait object, no allocation that one side makes
+//! and the other frees. Fields are only ever appended; every struct that may grow opens with its own size.
+//! `panoscope.h` next to this crate is generated from these files.
 //!
-//! A plugin exports one C function, [`ENTRY_SYMBOL`], that answers a [`Plugin`] descriptor, and carries a
-//! [`Note`] in its ELF file that says the same name and version without running any code.
+//! A plugin exports one C function, [`ENTRY_SYMBOL`], that returns a [`Plugin`] descriptor, and carries a [`Note`] in
+//! its ELF file with the same name and version, readable without running any code.
 
 #![no_std]
 
@@ -30,7 +30,7 @@ pub const ABI_MINOR: u32 = 4;
 /// The one symbol a plugin exports, an [`Entry`].
 pub const ENTRY_SYMBOL: &str = "panoscope_plugin";
 
-/// UTF-8 text owned by whoever made it; `ptr` may be null when `len` is 0.
+/// UTF-8 text owned by its creator; `ptr` may be null when `len` is 0.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct Str {
@@ -81,17 +81,17 @@ impl Str {
     }
 }
 
-/// What a call into a plugin answers.
+/// Result of a call into a plugin.
 pub type Status = i32;
 /// Done.
 pub const STATUS_OK: Status = 0;
-/// A source has nothing left to give.
+/// The source has ended.
 pub const STATUS_END: Status = 1;
-/// The node failed; its words were given to [`Host::fail`].
+/// The node failed; its message was passed to [`Host::fail`].
 pub const STATUS_ERROR: Status = -1;
-/// The node panicked or threw; its words were given to [`Host::fail`].
+/// The node panicked or threw; its message was passed to [`Host::fail`].
 pub const STATUS_PANIC: Status = -2;
-/// The host's frame memory is used up.
+/// The host's frame memory is exhausted.
 pub const STATUS_EXHAUSTED: Status = -3;
 /// An argument is malformed (a wrong port number, a size of 0).
 pub const STATUS_INVALID: Status = -4;

@@ -11,7 +11,7 @@ pub const NOTE_VERSION_LEN: usize = 32;
 /// Bytes for the node types' names, separated by commas.
 pub const NOTE_NODES_LEN: usize = 2048;
 
-/// What the ELF file says of a plugin before any of its code runs. Texts are zero-padded.
+/// Description of a plugin in its ELF file, readable before any of its code runs. Texts are zero-padded.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct NoteBody {
@@ -39,7 +39,7 @@ pub struct Note {
     pub note_type: u32,
     /// [`NOTE_OWNER`].
     pub owner: [u8; 12],
-    /// What is said.
+    /// Payload of the record.
     pub body: NoteBody,
 }
 
@@ -56,7 +56,7 @@ const fn padded<const N: usize>(text: &str) -> [u8; N] {
 }
 
 impl Note {
-    /// The note of a plugin with these node types. Does not compile when a text is too long for its place.
+    /// The note of a plugin with these node types. Does not compile when a text is too long for its field.
     pub const fn new(name: &str, version: &str, nodes: &[&str]) -> Note {
         let mut list = [0; NOTE_NODES_LEN];
         let mut at = 0;

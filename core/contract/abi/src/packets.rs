@@ -51,8 +51,8 @@ pub struct Camera {
     pub cx: f64,
     /// Principal point in px, vertical.
     pub cy: f64,
-    /// k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y. A tau_x of 1e6 marks an equidistant lens (Kannala and Brandt; OpenCV's `fisheye`),
-    /// whose k1, k2, k3, k4 come first; all others are 0.
+    /// k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y. A tau_x of 1e6 marks an equidistant lens (Kannala
+    /// and Brandt; OpenCV's `fisheye`), whose k1, k2, k3, k4 come first; all others are 0.
     pub distortion: [f64; 14],
 }
 
@@ -98,8 +98,8 @@ pub struct CloudPoint {
     pub z_mm: f32,
     /// Blue, green, red.
     pub bgr: [u8; 3],
-    /// 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a guess, and no length is taken from
-    /// it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
+    /// 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a
+    /// guess, and no length is taken from it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
     pub filled: u8,
 }
 
@@ -147,7 +147,8 @@ pub struct DetectionsHeader {
     pub image_width: u32,
     /// Height in px of the image that was searched.
     pub image_height: u32,
-    /// `instances` only: bytes of bit masks after the label text. Per entry a mask of the whole image, rows padded to whole bytes, most significant bit first.
+    /// `instances` only: bytes of bit masks after the label text. Per entry a mask of the whole image, rows padded to
+    /// whole bytes, most significant bit first.
     pub masks_len: u64,
 }
 
@@ -171,7 +172,7 @@ pub struct Tip {
     pub track_id: i64,
 }
 
-/// Packet `pose`: where frame `b` stands in frame `a`.
+/// Packet `pose`: position and orientation of frame `b` in frame `a`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
@@ -208,16 +209,16 @@ pub struct Joints {
 pub struct Scalar {
     /// The number.
     pub value: f64,
-    /// What it is, zero-padded.
+    /// Name of the number, zero-padded.
     pub name: [u8; 32],
     /// Its unit, zero-padded.
     pub unit: [u8; 16],
 }
 
-/// Name of the output that tells where the links of an arm join, as a table of [`LINK_COLUMNS`].
+/// Name of the output with the positions of an arm's joints, a table of [`LINK_COLUMNS`].
 pub const LINKS: &str = "links";
-/// Columns of a table that tells where the links of an arm join: a row per joint from the base to the camera, in the frame that the `pose` of the
-/// same node is told in.
+/// Columns of a table of joint positions: a row per joint from the base to the camera, in the frame of the same node's
+/// `pose`.
 pub const LINK_COLUMNS: [&str; 3] = ["link_x_mm", "link_y_mm", "link_z_mm"];
 
 /// Opens a `table` packet; then the column text, then `rows * columns` f64 in row order.

@@ -17,7 +17,7 @@ struct Contract {
     declarations: Vec<String>,
 }
 
-/// What a contract is, compared with the one that was kept.
+/// Result of comparing a contract with the stored one.
 #[derive(Debug, PartialEq)]
 enum Verdict {
     /// Same version, same declarations.
@@ -70,7 +70,8 @@ fn declarations(header: &str) -> Vec<String> {
 }
 
 impl Contract {
-    /// The contract in a header. `helpers`, a part of the header, is code for authors in C: plugins carry their own copy.
+    /// The contract in a header. `helpers`, a part of the header, is code for authors in C: plugins carry their own
+    /// copy.
     fn of_header(header: &str, helpers: &str, (major, minor): (u32, u32)) -> Self {
         assert!(header.contains(helpers), "the header contains the helpers as they are");
         let is_version =
@@ -95,7 +96,7 @@ impl Contract {
         out
     }
 
-    /// Judges this contract as the successor of `kept`.
+    /// Compares this contract with the stored one, `kept`.
     fn verdict(&self, kept: &Contract) -> Result<Verdict, String> {
         let version = (self.major, self.minor);
         let first_difference = || {
@@ -118,7 +119,8 @@ impl Contract {
         }
     }
 
-    /// A minor version keeps every declaration; structs that carry their size may have new fields at their end, and a reserved field may get a name.
+    /// A minor version keeps every declaration; structs that carry their size may have new fields at their end, and a
+    /// reserved field may get a name.
     fn appends_to(&self, kept: &Contract) -> Result<(), String> {
         for old in &kept.declarations {
             let survives = self.declarations.contains(old)

@@ -13,11 +13,11 @@ pub fn is_special(path: &Path) -> bool {
     })
 }
 
-/// Creates a file with mode 0600 in place of a file or a symbolic link of that name; the target of a link stays as it is. Devices and pipes
-/// are opened.
+/// Creates a file with mode 0600 in place of a file or a symbolic link of that name; the target of a link stays as it
+/// is. Devices and pipes are opened.
 ///
 /// # Errors
-/// Those of the system.
+/// Any error of the file system.
 pub fn create(path: &Path) -> io::Result<File> {
     if is_special(path) {
         return OpenOptions::new().write(true).open(path);

@@ -2,12 +2,12 @@
 
 use panoscope_abi as abi;
 
-/// How a frame's payload is laid out.
+/// Layout of a frame's payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Format {
     /// One of the contract's `FORMAT_` constants.
     pub id: u32,
-    /// What graph files and messages call it.
+    /// Name in graph files and messages.
     pub name: &'static str,
     /// Elements per pixel; 0 for plain bytes.
     pub channels: usize,
@@ -29,7 +29,7 @@ const fn image(id: u32, name: &'static str, channels: usize, element_bytes: usiz
     Format { id, name, channels, element_bytes, is_image: true }
 }
 
-/// All formats of the contract; a format stands at the index of its id.
+/// All formats of the contract; indexed by id.
 pub const FORMATS: [Format; 7] = [
     Format { id: abi::FORMAT_BYTES, name: "bytes", channels: 0, element_bytes: 1, is_image: false },
     image(abi::FORMAT_GRAY8, "gray8", 1, 1),
@@ -72,7 +72,7 @@ pub fn image_named(name: &str) -> Option<&'static Format> {
     FORMATS.iter().find(|format| format.is_image && format.name == name)
 }
 
-/// What messages call the format with that id.
+/// Name of the format with that id, for messages.
 pub fn name(id: u32) -> &'static str {
     of(id).map_or("an unknown format", |format| format.name)
 }
@@ -91,7 +91,8 @@ pub fn pixel_bytes(id: u32) -> usize {
 
 /// Bytes from the first pixel of an image to the end of its last one; 0 for an image without rows.
 ///
-/// Sizes may come from another plugin: `None` when rows overlap (`stride_bytes` is shorter than a row) or the sum overflows.
+/// Sizes may come from another plugin: `None` when rows overlap (`stride_bytes` is shorter than a row) or the sum
+/// overflows.
 #[inline]
 pub fn image_bytes(width: usize, height: usize, stride_bytes: usize, pixel_bytes: usize) -> Option<usize> {
     let row = width.checked_mul(pixel_bytes)?;

@@ -7,7 +7,8 @@ const LUMA_B: u32 = 3735;
 const LUMA_G: u32 = 19235;
 const LUMA_R: u32 = 9798;
 
-/// Converts BGR (3 channels) to gray, or copies gray (1 channel), into an image of the same size, on the calling thread.
+/// Converts BGR (3 channels) to gray, or copies gray (1 channel), into an image of the same size, on the calling
+/// thread.
 ///
 /// # Panics
 /// When the sizes differ or `out` has more than one channel.
@@ -21,8 +22,8 @@ pub fn bgr_to_gray(image: &View<'_, u8>, out: &mut ViewMut<'_, u8>) {
 
 /// One row of [`bgr_to_gray`].
 ///
-/// `source` holds `channels` bytes per pixel of `row`: one is copied, of two the first is gray, three and more start with
-/// blue, green, red.
+/// `source` holds `channels` bytes per pixel of `row`: one is copied, of two the first is gray, three and more start
+/// with blue, green, red.
 ///
 /// # Panics
 /// With one channel when the lengths differ; with three when `source` is shorter than the row.

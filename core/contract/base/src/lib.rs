@@ -1,4 +1,4 @@
-//! What every Panoscope crate shares, defined once.
+//! Shared definitions of all Panoscope crates.
 //!
 //! - [`packet`]: decodes the packets of the contract from untrusted bytes.
 //! - [`format`]: names, ids and sizes of the pixel formats.

@@ -1,4 +1,5 @@
-//! What a host must know of ONNX without ONNX Runtime: which other files hold the weights of a model, and where the runtime's library is.
+//! Facts about ONNX that need no ONNX Runtime: which other files hold the weights of a model, and where the runtime's
+//! library is.
 //!
 //! Field numbers are those of `onnx.proto3`.
 
@@ -15,17 +16,18 @@ pub const RUNTIME_SONAME: &str = "libonnxruntime.so.1";
 /// Environment variable that names ONNX Runtime's library.
 pub const RUNTIME_VARIABLE: &str = "ORT_DYLIB_PATH";
 
-/// Depth of nested graphs; deeper files are attacks on the reader.
+/// Maximum depth of nested graphs; deeper files are treated as hostile.
 const MAX_DEPTH: usize = 16;
 
-/// Field of a model that holds one file of weights, after all fields of ONNX. Readers of ONNX skip fields that they do not know.
+/// Field of a model that holds one file of weights, after all fields of ONNX. Readers of ONNX skip fields that they do
+/// not know.
 const BUNDLED: u64 = 52_001;
 
-/// Why bytes are no whole ONNX file.
+/// Bytes that are not a complete ONNX file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{reason} at byte {offset}")]
 pub struct Malformed {
-    /// What is wrong.
+    /// Description of the problem.
     pub reason: &'static str,
     /// Position in the file, bytes.
     pub offset: usize,
@@ -45,7 +47,7 @@ enum Message {
 }
 
 impl Message {
-    /// Kind of the message in a length-delimited field, where it matters.
+    /// Message type of a length-delimited field; `None` where its content is not read.
     fn child(self, field: u64) -> Option<Self> {
         Some(match (self, field) {
             (Self::Model, 7) => Self::Graph,
@@ -66,7 +68,7 @@ impl Message {
     }
 }
 
-/// One field of a message: its number and, where it is length-delimited, its bytes, or else its value where that is a number.
+/// One field of a message: its number and either its bytes (length-delimited) or its numeric value.
 struct Field {
     number: u64,
     bytes: Option<Range<usize>>,
@@ -88,7 +90,7 @@ impl<'a> Reader<'a> {
         let (mut value, mut shift) = (0u64, 0);
         loop {
             if *at >= end {
-                return Err(Malformed { reason: "it ends inside a number", offset: *at });
+                return Err(Malformed { reason: "it ends within a number", offset: *at });
             }
             let byte = self.data[*at];
             *at += 1;
@@ -103,7 +105,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// The field at `at`, which moves behind it.
+    /// Reads the field at `at` and moves `at` past it.
     fn field(&self, at: &mut usize, end: usize) -> Result<Field, Malformed> {
         let tag = self.varint(at, end)?;
         let number = tag >> 3;
@@ -130,7 +132,7 @@ impl<'a> Reader<'a> {
 
     fn message(&mut self, kind: Message, range: Range<usize>, depth: usize) -> Result<(), Malformed> {
         if depth > 4 * MAX_DEPTH {
-            return Err(Malformed { reason: "graphs stand in graphs more than 16 deep", offset: range.start });
+            return Err(Malformed { reason: "graphs are nested more than 16 levels deep", offset: range.start });
         }
         let mut at = range.start;
         let (mut key, mut value) = (0..0, 0..0);
@@ -158,12 +160,12 @@ impl<'a> Reader<'a> {
 /// Names of the files that hold weights of a model, as the model gives them: relative to its folder, sorted, each once.
 ///
 /// # Errors
-/// The bytes are no whole ONNX file.
+/// The bytes are not a complete ONNX file.
 pub fn weight_files(model: &[u8]) -> Result<Vec<String>, Malformed> {
     let mut reader = Reader::new(model);
     reader.message(Message::Model, 0..model.len(), 0)?;
     if !reader.has_graph {
-        return Err(Malformed { reason: "it holds no graph", offset: model.len() });
+        return Err(Malformed { reason: "it has no graph", offset: model.len() });
     }
     reader.locations.sort();
     reader.locations.dedup();
@@ -178,7 +180,8 @@ fn push_varint(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// What stands before the `len` bytes of the weight file `name` where it is appended to its model. [`unbundle`] reads the result.
+/// Header in front of the `len` bytes of the weight file `name` that is appended to its model. [`unbundle`] reads the
+/// result.
 pub fn bundle_header(name: &str, len: u64) -> Vec<u8> {
     let mut inner = Vec::new();
     push_varint(&mut inner, 1 << 3 | 2);
@@ -205,7 +208,7 @@ pub struct Bundle {
 /// Finds the weight files that were appended to a model. A plain model has none.
 ///
 /// # Errors
-/// The bytes are no whole sequence of fields.
+/// The bytes are not a complete sequence of fields.
 pub fn unbundle(bytes: &[u8]) -> Result<Bundle, Malformed> {
     let reader = Reader::new(bytes);
     let mut bundle = Bundle { model_len: bytes.len(), weights: Vec::new() };
@@ -215,7 +218,7 @@ pub fn unbundle(bytes: &[u8]) -> Result<Bundle, Malformed> {
         let field = reader.field(&mut at, bytes.len())?;
         let Some(inner) = field.bytes.filter(|_| field.number == BUNDLED) else {
             if !bundle.weights.is_empty() {
-                return Err(Malformed { reason: "parts of the model follow its weights", offset: before });
+                return Err(Malformed { reason: "the model has fields after its weights", offset: before });
             }
             continue;
         };
@@ -238,7 +241,7 @@ pub fn unbundle(bytes: &[u8]) -> Result<Bundle, Malformed> {
     Ok(bundle)
 }
 
-/// Files in `folder` that are ONNX Runtime's library by their name, sorted; links are left out.
+/// Files in `folder` that are named like ONNX Runtime's library, sorted, without symbolic links.
 fn runtimes_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let named = |name: &OsStr| name.to_string_lossy().starts_with("libonnxruntime.so");
@@ -248,7 +251,7 @@ fn runtimes_in(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Files to try as ONNX Runtime, in order: the variable's, or those beside the program and then the system's.
+/// Files to try as ONNX Runtime, in order: the variable's, or those next to the program and then the system's.
 pub fn runtime_candidates() -> Vec<PathBuf> {
     if let Some(named) = std::env::var_os(RUNTIME_VARIABLE).filter(|p| !p.is_empty()) {
         return vec![named.into()];
@@ -286,7 +289,7 @@ mod tests {
     fn files_of_weights_are_found() {
         assert_eq!(weight_files(&model("w.bin")).unwrap(), ["w.bin"]);
         assert_eq!(weight_files(&field(7, b"")).unwrap(), Vec::<String>::new());
-        assert_eq!(weight_files(b"").unwrap_err().reason, "it holds no graph");
+        assert_eq!(weight_files(b"").unwrap_err().reason, "it has no graph");
         assert!(weight_files(&model("w.bin")[..5]).is_err());
     }
 
@@ -311,6 +314,6 @@ mod tests {
             assert!(unbundle(&bytes[..cut]).is_err() || unbundle(&bytes[..cut]).unwrap().weights.len() < 2, "{cut}");
         }
         bytes.extend(field(7, b""));
-        assert!(unbundle(&bytes).unwrap_err().reason.contains("follow its weights"));
+        assert!(unbundle(&bytes).unwrap_err().reason.contains("after its weights"));
     }
 }

@@ -1,11 +1,11 @@
-//! How kernels ask for more than one thread, without knowing whose threads they are.
+//! Parallel work of kernels, independent of a thread pool.
 
 /// A pool that runs the chunks of a loop.
 ///
 /// Chunk boundaries never depend on [`Parallel::threads`], and the caller reduces partial results in
 /// index order, so that the number of threads never changes a result.
 pub trait Parallel: Sync {
-    /// How many threads may take part, the caller included.
+    /// Maximum number of threads, the caller included.
     fn threads(&self) -> usize;
 
     /// Calls `body(i)` once for every `i` in `0..chunks`, in any order, and returns when all calls have returned.

@@ -1,17 +1,17 @@
-//! Where the programs of this installation are: plugins, ONNX Runtime and other programs are found beside them.
+//! Where the programs of this installation are: plugins, ONNX Runtime and other programs are found next to them.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-/// Environment variable with the file of the program `panoscope`, for a process that runs graphs but is none of the installation's programs, such as
-/// a Python interpreter. Child processes and plugins read it too.
+/// Environment variable with the file of the program `panoscope`, for a process that runs graphs but is not one of the
+/// installation's programs, such as a Python interpreter. Child processes and plugins read it too.
 pub const PROGRAM_VARIABLE: &str = "PANOSCOPE_PROGRAM";
 
 /// Name of the program, and beginning of the names of the others.
 const PROGRAM: &str = "panoscope";
 
-/// The running program if it belongs to an installation, else the one that [`PROGRAM_VARIABLE`] names, else the running one. `None` where the
-/// system does not say which file runs.
+/// The running program if it belongs to an installation, else the one that [`PROGRAM_VARIABLE`] names, else the running
+/// one. `None` where the system does not say which file runs.
 pub fn file() -> Option<PathBuf> {
     choose(std::env::current_exe().ok(), std::env::var_os(PROGRAM_VARIABLE).as_deref())
 }

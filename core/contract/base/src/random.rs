@@ -1,10 +1,10 @@
-//! Pseudo-random numbers that are the same on every machine: SplitMix64 (Steele, Lea, Flood, "Fast Splittable Pseudorandom Number
-//! Generators", OOPSLA 2014, figure 17).
+//! Pseudo-random numbers that are the same on every machine: SplitMix64 (Steele, Lea, Flood, "Fast Splittable
+//! Pseudorandom Number Generators", OOPSLA 2014, figure 17).
 
 /// Increment of the state per number.
 const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// A generator whose state is one number, the seed to begin with.
+/// Generator with one number of state, initially the seed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplitMix64(pub u64);
 
@@ -16,7 +16,7 @@ impl SplitMix64 {
         finish(self.0)
     }
 
-    /// A number in `0..limit`; 0 when `limit` is 0. Even but for a share of `limit` in 2^64.
+    /// A number in `0..limit`; 0 when `limit` is 0. Uniform up to a bias of `limit` / 2^64.
     #[inline]
     pub fn below(&mut self, limit: usize) -> usize {
         ((u128::from(self.bits()) * limit as u128) >> 64) as usize

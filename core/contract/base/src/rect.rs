@@ -34,7 +34,7 @@ impl Rect {
         self.width * self.height
     }
 
-    /// What both rectangles cover; empty when they do not meet.
+    /// Intersection of both rectangles; empty when they do not meet.
     pub fn intersect(&self, other: &Rect) -> Rect {
         let (x, y) = (self.x.max(other.x), self.y.max(other.y));
         let right = self.x.saturating_add(self.width).min(other.x.saturating_add(other.width));

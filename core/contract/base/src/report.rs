@@ -1,14 +1,14 @@
-//! How algorithms report warnings and metrics without knowing the framework.
+//! Reports of warnings and metrics by algorithms, independent of the framework.
 
 /// Receives what an algorithm reports besides its result.
 pub trait Report {
-    /// Something the user should know.
+    /// Warns the user.
     fn warn(&self, message: &str);
 
-    /// Progress, or that the cause of a warning is gone.
+    /// Reports progress, or that the cause of a warning is gone.
     fn info(&self, message: &str);
 
-    /// A named number.
+    /// Reports a named number.
     fn metric(&self, name: &str, value: f64);
 }
 

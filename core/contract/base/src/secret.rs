@@ -1,36 +1,38 @@
 //! Secrets in texts: addresses with a user and a password.
 //!
-//! Everything that shows, sends or stores a text of a parameter, a log line or an error passes it through [`redact`] first. A graph need not hold a
-//! password at all: `rtsp://user:${PANOSCOPE_SECRET_ENDOSCOPE}@host/left` names an environment variable, which [`resolve`] reads when the
-//! address is opened.
+//! Everything that shows, sends or stores a text of a parameter, a log line or an error passes it through [`redact`]
+//! first. A graph need not hold a password at all: `rtsp://user:${PANOSCOPE_SECRET_ENDOSCOPE}@host/left` names an
+//! environment variable, which [`resolve`] reads when the address is opened.
 
 use std::borrow::Cow;
 
-/// Beginning of the names of environment variables that addresses may use. A graph comes from elsewhere: it must not read others and
-/// send them to a host of its choice.
+/// Beginning of the names of environment variables that addresses may use. A graph comes from elsewhere: it must not
+/// read others and send them to a host of its choice.
 pub const VARIABLE_PREFIX: &str = "PANOSCOPE_SECRET_";
 
-/// Stands for what is not shown.
+/// Replacement for hidden text.
 const HIDDEN: &str = "***";
 
 /// Names of GStreamer properties and of fields of addresses whose values are not shown.
 const SECRET_NAMES: [&str; 6] = ["user-pw", "proxy-pw", "password", "passwd", "passphrase", "access_token"];
 
-/// Why the secret of an address is not there.
+/// A secret in an address cannot be resolved.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SecretError {
     /// No such environment variable.
     #[error(
-        "the environment variable `{name}`, which an address names, is not set; export it before the program starts"
+        "an address uses the environment variable `{name}`, which is not set; set it before the start of the program"
     )]
     NotSet {
-        /// Its name.
+        /// Name of the variable.
         name: String,
     },
     /// A variable that addresses may not use.
-    #[error("an address names the environment variable `{name}`; names of secrets begin with {VARIABLE_PREFIX}")]
+    #[error(
+        "an address uses the environment variable `{name}`; only names that begin with {VARIABLE_PREFIX} are allowed"
+    )]
     Name {
-        /// Its name.
+        /// Name of the variable.
         name: String,
     },
 }
@@ -55,7 +57,8 @@ fn user_info(text: &str) -> Option<(usize, usize)> {
     None
 }
 
-/// A text without its secrets: `rtsp://user:password@host` becomes `rtsp://***@host`. Names of environment variables stay.
+/// A text without its secrets: `rtsp://user:password@host` becomes `rtsp://***@host`. Names of environment variables
+/// stay.
 pub fn redact(text: &str) -> Cow<'_, str> {
     let mut out = Cow::Borrowed(text);
     if text.contains("://") {
@@ -110,7 +113,8 @@ fn redact_value<'t>(text: &'t str, name: &str) -> Cow<'t, str> {
     if out.is_empty() { Cow::Borrowed(text) } else { Cow::Owned(out + rest) }
 }
 
-/// An address with the values of the environment variables that its user and password name as `${NAME}`, encoded as addresses need it.
+/// An address with the values of the environment variables that its user and password name as `${NAME}`, encoded as
+/// addresses need it.
 ///
 /// # Errors
 /// A variable is not set, or may not be used.

@@ -2,8 +2,8 @@
 
 /// The instruction set a kernel runs with.
 ///
-/// A value that allows AVX2 exists only on machines that have it, so a kernel that was given one may call functions compiled
-/// for AVX2. Both paths give bit-identical results: no fused multiply-add, the same order of operations.
+/// A value that allows AVX2 exists only on machines that have it, so a kernel that was given one may call functions
+/// compiled for AVX2. Both paths give bit-identical results: no fused multiply-add, the same order of operations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Simd {
     avx2: bool,

@@ -8,10 +8,12 @@ use std::thread::JoinHandle;
 
 use crate::Parallel;
 
-/// Rounds that an idle helper looks for work before it sleeps: benches time loops that follow each other within microseconds.
+/// Rounds that an idle helper looks for work before it sleeps: benches time loops that follow each other within
+/// microseconds.
 const SPINS: usize = 2000;
 
-/// A fixed number of threads that wait for loops. One loop runs at a time; a loop started meanwhile runs on its caller alone.
+/// A fixed number of threads that wait for loops. One loop runs at a time; a loop started meanwhile runs on its caller
+/// alone.
 pub struct Threads {
     shared: Arc<Shared>,
     helpers: Vec<JoinHandle<()>>,
@@ -29,7 +31,7 @@ struct Job {
 struct State {
     /// Present exactly while a `run` may still hand out chunks.
     job: Option<Job>,
-    /// What the first panic of a body carried.
+    /// Payload of the first panic of a body.
     panic: Option<Box<dyn Any + Send>>,
     stop: bool,
 }
@@ -45,7 +47,7 @@ struct Shared {
     busy: AtomicUsize,
     /// The next chunk to take.
     next: AtomicUsize,
-    /// Chunks of the present loop, 0 without one: what a spinning helper looks at.
+    /// Chunks of the present loop, 0 without one: read by spinning helpers.
     chunks: AtomicUsize,
 }
 

@@ -62,7 +62,7 @@ impl<'a, T> View<'a, T> {
         &self.data[start..start + self.width * self.channels]
     }
 
-    /// The rectangle `x, y, width, height` as a view of its own.
+    /// The rectangle `x, y, width, height` as a separate view.
     ///
     /// # Panics
     /// When the rectangle leaves the image.

@@ -1,9 +1,10 @@
-//! What servers of web pages check.
+//! Checks of HTTP requests, for servers of web pages.
 
 use std::net::{IpAddr, SocketAddr};
 
-/// Whether the field `Host` of a request is an IP address or `localhost`, with or without a port. A page elsewhere can have its own name resolve to
-/// this machine and then read answers; the `Host` of its requests is that name.
+/// Whether the field `Host` of a request is an IP address or `localhost`, with or without a port. This stops DNS
+/// rebinding: a page elsewhere can make its own name resolve to this machine and read responses, but the `Host` of its
+/// requests is that name.
 pub fn is_own_host(host: &str) -> bool {
     let address = host.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(host);
     let is_name = |host: &str| host == "localhost";

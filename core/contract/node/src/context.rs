@@ -48,7 +48,8 @@ pub(crate) fn has(host: &abi::Host, end: usize) -> bool {
     host.struct_size as usize >= end
 }
 
-/// See [`abi::Host::claim_file`]. A host of an earlier version has no such function; the path is then returned as it is.
+/// See [`abi::Host::claim_file`]. A host of an earlier version has no such function; the path is then returned as it
+/// is.
 fn claim(host: &abi::Host, call: *mut std::ffi::c_void, path: &Path, action: u32) -> Result<PathBuf, NodeError> {
     let end = std::mem::offset_of!(abi::Host, claim_file) + size_of::<usize>();
     let (Some(claim), Some(text)) = (host.claim_file.filter(|_| has(host, end)), path.to_str()) else {
@@ -114,9 +115,10 @@ impl<'f> Context<'f> {
         self.ended.get()
     }
 
-    /// Begins a file that was claimed with [`Open::claim_file`] and returns the path to create. That is `path` itself the first time in a
-    /// run, then, when the node is opened again, `name.part2.ending` and so on, so that written data is never truncated. With
-    /// `may_replace` the file of an earlier run is replaced, unless the host keeps those; otherwise the returned path does not exist yet.
+    /// Begins a file that was claimed with [`Open::claim_file`] and returns the path to create. That is `path` itself
+    /// the first time in a run, then, when the node is opened again, `name.part2.extension` and so on, so that written
+    /// data is never truncated. With `may_replace` the file of an earlier run is replaced, unless the host keeps those;
+    /// otherwise the returned path does not exist yet.
     ///
     /// # Errors
     /// Another node writes this file.
@@ -125,8 +127,8 @@ impl<'f> Context<'f> {
         claim(self.pool.host, self.call().call, path, action)
     }
 
-    /// The host's monotonic clock in ns, for nodes that record when something happened; `None` where the host has none. A node's outputs
-    /// must not depend on it.
+    /// The host's monotonic clock in ns, for nodes that record when something happened; `None` where the host has none.
+    /// A node's outputs must not depend on it.
     pub fn clock_ns(&self) -> Option<i64> {
         let host = self.pool.host;
         let end = std::mem::offset_of!(abi::Host, clock_ns) + size_of::<usize>();
@@ -143,8 +145,8 @@ impl<'f> Context<'f> {
         }
     }
 
-    /// Reports a fault after which the node goes on, such as a lost device that it waits for. The host counts and records it like a
-    /// failed call, but keeps the instance. One fault per call: a later one replaces it.
+    /// Reports a fault after which the node continues, such as a lost device that it waits for. The host counts and
+    /// records it like a failed call, but keeps the instance. One fault per call: a later one replaces it.
     pub fn fault(&self, message: &str) {
         if let Some(fail) = self.pool.host.fail {
             // SAFETY: the handle of the running call; the text is borrowed for the length of the function.
@@ -152,7 +154,7 @@ impl<'f> Context<'f> {
         }
     }
 
-    /// Reports a named number, shown beside the node's timing.
+    /// Reports a named number, shown next to the node's timing.
     pub fn metric(&self, name: &str, value: f64) {
         if let Some(metric) = self.pool.host.metric {
             // SAFETY: the handle of the running call; the text is borrowed for the length of the function.
@@ -225,7 +227,8 @@ impl<'a> Open<'a> {
         Path::new(unsafe { self.call().graph_dir.text() }.unwrap_or(""))
     }
 
-    /// Claims a file for this node for as long as it is open. Nothing is created but its lock, for which the folder must exist.
+    /// Claims a file for this node for as long as it is open. Nothing is created but its lock, for which the folder
+    /// must exist.
     ///
     /// # Errors
     /// Another node of the graph, or another run, writes this file.
@@ -233,8 +236,8 @@ impl<'a> Open<'a> {
         self.claim_files(path).map(drop)
     }
 
-    /// Claims a file that each write replaces as a whole, or a pattern with `{seq}` of such files. Returns the path or pattern to write: the
-    /// same in the whole run, and one without files of earlier runs where the host keeps those.
+    /// Claims a file that each write replaces as a whole, or a pattern with `{seq}` of such files. Returns the path or
+    /// pattern to write: the same in the whole run, and one without files of earlier runs where the host keeps those.
     ///
     /// # Errors
     /// Another node of the graph, or another run, writes this file.
@@ -277,7 +280,7 @@ impl panoscope_base::Report for Open<'_> {
         Open::info(self, message);
     }
 
-    /// A node that opens has no metrics: does nothing.
+    /// Does nothing: a node that opens has no metrics.
     fn metric(&self, _: &str, _: f64) {}
 }
 

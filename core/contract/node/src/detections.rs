@@ -149,7 +149,7 @@ impl Slot<'_, LabeledInstances> {
     ) -> Result<()> {
         let expected = items.len() * mask_len(image_size.0, image_size.1);
         if masks.len() != expected {
-            return Err(NodeError::new(format!("{} mask bytes were given, {expected} are needed", masks.len())));
+            return Err(NodeError::new(format!("{} mask bytes were given, expected {expected}", masks.len())));
         }
         write(self, items, labels, image_size, masks)
     }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// Why a node failed, as a message for the person who runs the graph.
+/// Failure of a node, with a message for the user.
 pub struct NodeError {
     message: String,
     status: crate::abi::Status,
@@ -17,7 +17,8 @@ impl NodeError {
         Self { message: message.into(), status: crate::abi::STATUS_ERROR }
     }
 
-    /// An error that a restart of the node would not fix, such as a full disk: the host stops the node, reports it and goes on without it.
+    /// An error that a restart of the node would not fix, such as a full disk: the host stops the node, reports it and
+    /// continues without it.
     pub fn lasting(message: impl Into<String>) -> Self {
         Self::with_status(message, crate::abi::STATUS_STOPPED)
     }
@@ -27,7 +28,8 @@ impl NodeError {
         self.status == crate::abi::STATUS_STOPPED
     }
 
-    /// For sources: the source has ended before its data was complete. The host counts a fault and does not open the source again.
+    /// For sources: the source has ended before its data was complete. The host counts a fault and does not open the
+    /// source again.
     pub fn ended_early(message: impl Into<String>) -> Self {
         Self::with_status(message, crate::abi::STATUS_END)
     }
@@ -60,7 +62,7 @@ impl fmt::Debug for NodeError {
     }
 }
 
-/// Whether no more can be written until somebody frees or unlocks the disk.
+/// Whether writes fail until the disk is freed or unlocked.
 fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
     use std::io::ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     let kind = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind);

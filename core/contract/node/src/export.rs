@@ -244,8 +244,9 @@ pub unsafe extern "C" fn attach(host: *const abi::Host) -> abi::Status {
 
 /// Makes this crate a plugin with the given nodes. Use it once per cdylib.
 ///
-/// The plugin is named after its crate without a leading `panoscope-`, or explicitly: `export_plugin!["my_name"; A, B]`. Without the
-/// crate's default feature `plugin` the entry symbol is not exported, so that tests can link several plugins into one binary.
+/// The plugin is named after its crate without a leading `panoscope-`, or explicitly: `export_plugin!["my_name"; A,
+/// B]`. Without the crate's default feature `plugin` the entry symbol is not exported, so that tests can link several
+/// plugins into one binary.
 #[macro_export]
 macro_rules! export_plugin {
     ($($node:ty),+ $(,)?) => {

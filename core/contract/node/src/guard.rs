@@ -48,7 +48,8 @@ impl Caught {
     }
 }
 
-/// One guard on this thread's stack. It stores the counter's address, because a plugin needs a function call for each thread-local access.
+/// One guard on this thread's stack. It stores the counter's address, because a plugin needs a function call for each
+/// thread-local access.
 struct Depth(*const Cell<u32>);
 
 impl Depth {
@@ -84,8 +85,8 @@ fn caught(payload: Box<dyn Any + Send>) -> Caught {
     Caught { payload, location: LOCATION.with(|slot| slot.borrow_mut().take()) }
 }
 
-/// Makes the panic hook record the location of guarded panics instead of printing them: the host reports them. Other panics
-/// (in a test, in a thread that the plugin started) go to the previous hook.
+/// Makes the panic hook record the location of guarded panics instead of printing them: the host reports them. Other
+/// panics (in a test, in a thread that the plugin started) go to the previous hook.
 pub fn install_panic_hook() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

@@ -132,8 +132,8 @@ impl<P> Image<'_, P> {
     }
 }
 
-/// Bytes from the first pixel of a frame to the end of the last. Checks that they lie inside the buffer and are aligned to
-/// elements of `size` bytes, a power of two.
+/// Bytes from the first pixel of a frame to the end of the last. Checks that they lie inside the buffer and are aligned
+/// to elements of `size` bytes, a power of two.
 #[inline]
 fn checked_len(frame: &abi::Frame, channels: usize, size: usize) -> Result<usize> {
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
@@ -147,7 +147,7 @@ fn checked_len(frame: &abi::Frame, channels: usize, size: usize) -> Result<usize
 #[cold]
 fn misfit(frame: &abi::Frame) -> NodeError {
     let abi::Frame { width, height, stride_bytes, len, .. } = *frame;
-    NodeError::new(format!("a {width}x{height} frame with {stride_bytes} bytes a row does not fit its {len} bytes"))
+    NodeError::new(format!("a {width}x{height} frame with {stride_bytes} bytes per row does not match its {len} bytes"))
 }
 
 /// The elements of a frame and its stride in elements. Checks that they lie inside the buffer.
@@ -168,7 +168,7 @@ impl<'f, P: Plane> FromFrame<'f> for Image<'f, P> {
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
         if frame.format != P::FORMAT {
-            return Err(NodeError::new(format!("format {} was expected, {} arrived", P::FORMAT, frame.format)));
+            return Err(NodeError::new(format!("expected format {}, got {}", P::FORMAT, frame.format)));
         }
         elements::<P::Element>(frame, P::CHANNELS)?;
         Ok(Self { frame, plane: PhantomData })
@@ -263,8 +263,8 @@ impl<'f> AnyImage<'f> {
     }
 }
 
-/// A picture in colour (BGR) or in gray, as it arrives: for nodes that need little of its gray, or need it seldom. The host makes the gray of an
-/// `Image<'f, Gray8>` whole, in every tick.
+/// An image in colour (BGR) or gray, as it arrives, for nodes that need gray values of few pixels or in few ticks. For
+/// an `Image<'f, Gray8>` the host converts the whole image in every tick.
 #[derive(Clone, Copy)]
 pub struct Picture<'f> {
     frame: &'f abi::Frame,
@@ -279,9 +279,7 @@ impl<'f> FromFrame<'f> for Picture<'f> {
             Bgr8::FORMAT => Bgr8::CHANNELS,
             Gray8::FORMAT => Gray8::CHANNELS,
             other => {
-                return Err(NodeError::new(format!(
-                    "a picture in colour or gray was expected, format {other} arrived"
-                )));
+                return Err(NodeError::new(format!("expected a colour or gray image, got format {other}")));
             }
         };
         let (data, stride) = elements(frame, channels)?;
@@ -342,7 +340,7 @@ impl<P> Drop for Retained<P> {
     }
 }
 
-/// Plain data: a homography, a calibration, a packet of the plugin's own.
+/// Plain data: a homography, a calibration, a plugin's own packet.
 #[derive(Clone, Copy)]
 pub struct Value<'f, T> {
     value: &'f T,
@@ -393,10 +391,7 @@ impl<'f> FromFrame<'f> for Cloud<'f> {
         let points = frame.width as usize * frame.height as usize;
         let aligned = frame.data.addr().is_multiple_of(align_of::<abi::CloudPoint>());
         if frame.format != abi::FORMAT_CLOUD || frame.len / size_of::<abi::CloudPoint>() < points || !aligned {
-            return Err(NodeError::new(format!(
-                "a cloud of {points} points was expected, {} bytes arrived",
-                frame.len
-            )));
+            return Err(NodeError::new(format!("expected a cloud of {points} points, got {} bytes", frame.len)));
         }
         Ok(Self { frame })
     }

@@ -44,8 +44,8 @@ pub use validation::Validation;
 
 /// One processing node.
 ///
-/// The host calls an instance from one thread at a time, but not always the same one. `process` uses no clock and no random
-/// number except the host's, and allocates nothing in steady state. An output that it does not make is empty.
+/// The host calls an instance from one thread at a time, but not always the same one. `process` uses no clock and no
+/// random number except the host's, and allocates nothing in steady state. An output that it does not make is empty.
 pub trait Node: Sized + Send + 'static {
     /// Name, family and kind.
     const INFO: NodeInfo;
@@ -56,8 +56,9 @@ pub trait Node: Sized + Send + 'static {
     /// Parameters, see [`macro@Params`].
     type Params: Params;
 
-    /// Reports parameters and wiring with which `open` or the first tick would fail, so that `panoscope check` finds them. Must not open a
-    /// device or write anything; may test whether files exist. The host calls it again before `open`, which therefore need not repeat it.
+    /// Reports parameters and wiring with which `open` or the first tick would fail, so that `panoscope check` finds
+    /// them. Must not open a device or write anything; may test whether files exist. The host calls it again before
+    /// `open`, which therefore need not repeat it.
     fn validate(_params: &Self::Params, _check: &mut Validation<'_>) {}
 
     /// Creates an instance: loads models, opens devices, builds tables. May take long. Not called with parameters that
@@ -73,8 +74,9 @@ pub trait Node: Sized + Send + 'static {
         params: &Self::Params,
     ) -> Result<()>;
 
-    /// Completes the node's files before it is closed; no other call follows. An error is reported and fails the run. Not called for an
-    /// instance that was never used, nor when the host has no time left: then `drop` does what it can.
+    /// Completes the node's files before it is closed; no other call follows. An error is reported and fails the run.
+    /// Not called for an instance that was never used, nor when the host has no time left: then `drop` does what it
+    /// can.
     fn finish(&mut self, _cx: &Finish<'_>) -> Result<()> {
         Ok(())
     }
@@ -95,9 +97,9 @@ pub trait Node: Sized + Send + 'static {
 pub enum Kind {
     /// A short calculation; runs on the shared pool.
     Compute,
-    /// May wait for a device or a file; has a thread of its own.
+    /// May wait for a device or a file; has a separate thread.
     Blocking,
-    /// A control loop; has a thread of its own with high priority.
+    /// A control loop; has a separate thread with high priority.
     Realtime,
 }
 
@@ -108,7 +110,7 @@ pub struct NodeInfo {
     pub name: &'static str,
     /// Family: source, stereo, stitch, tools, arm, overlay, sink, filter.
     pub family: &'static str,
-    /// What the node does, in one sentence; shown by `describe` and the editor.
+    /// Purpose of the node, in one sentence; shown by `describe` and the editor.
     pub doc: &'static str,
     /// When and where the host may run it.
     pub kind: Kind,

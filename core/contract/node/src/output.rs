@@ -1,4 +1,5 @@
-//! Typed outputs: buffers of the host, handed to it when the call returns. An output that the node does not make is empty.
+//! Typed outputs: buffers of the host, handed to it when the call returns. An output that the node does not make is
+//! empty.
 
 use panoscope_base::format::IMAGE_FORMATS;
 use std::marker::PhantomData;
@@ -95,7 +96,7 @@ impl<'f, T> Slot<'f, T> {
         outcome(status, 0)
     }
 
-    /// Hands on the buffer of an input, then replaces it by a private copy if anybody else holds it.
+    /// Hands on the buffer of an input, then replaces it by a private copy if it is shared.
     fn copy_of(&mut self, frame: &abi::Frame) -> Result<()> {
         self.forward(frame)?;
         // SAFETY: the host's call is valid for `'f`, and so is its function table.
@@ -208,20 +209,22 @@ impl<P: Plane> Slot<'_, P> {
         self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
     }
 
-    /// Hands on a retained frame as one of this tick: its age does not count from the tick that it was made for.
+    /// Hands on a retained frame as an output of this tick, so that its age counts from this tick.
     pub fn forward_anew(&mut self, kept: &Retained<P>) -> Result<()> {
         // SAFETY: the host's call is valid for `'f`.
         let tick = unsafe { (*self.call.raw()).tick };
         self.forward(&abi::Frame { tick, ..*kept.frame() })
     }
 
-    /// Retains the buffer of an output that was made, beyond this call; `None` without one. It cannot be written any more.
+    /// Retains the buffer of an output that was made, beyond this call; `None` without one. It can no longer be
+    /// written.
     pub fn retain(&self) -> Option<Retained<P>> {
         let frame = self.call.output(self.index);
         (!frame.is_empty()).then(|| Retained::of(frame))
     }
 
-    /// Makes the output equal to `image` and writable, for drawing. The host copies the frame, and counts the copy, if anybody else holds it.
+    /// Makes the output equal to `image` and writable, for drawing. The host copies the frame, and counts the copy, if
+    /// it is shared.
     pub fn alloc_copy(&mut self, image: &crate::Image<'_, P>) -> Result<ViewMut<'_, P::Element>> {
         self.copy_of(image.frame())?;
         let frame = self.call.output(self.index);

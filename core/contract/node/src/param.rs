@@ -171,7 +171,7 @@ fn expect_kind(value: &abi::ParamValue, kind: u32) -> Result<()> {
 
 /// The error for a host that passed another number of values than declared.
 pub fn wrong_param_count(expected: usize, found: usize) -> NodeError {
-    NodeError::new(format!("{expected} parameters are declared, the host passed {found}"))
+    NodeError::new(format!("{expected} parameters are declared, but the host passed {found}"))
 }
 
 /// The literal after `default =`.
@@ -196,7 +196,7 @@ pub struct Declared {
     pub unit: &'static str,
     /// `PARAM_` kind of the field's type.
     pub kind: u32,
-    /// What the field's type can hold.
+    /// Values of the field's type.
     pub limits: (f64, f64),
     /// Names of a choice's variants; empty for other types.
     pub choices: &'static [abi::Str],
@@ -216,7 +216,7 @@ pub struct Declared {
     pub writes: bool,
     /// The default comes with the plugin.
     pub shipped: bool,
-    /// How the editor lets a user pick the value: `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, or 0 for none of them.
+    /// Way of picking the value in the editor: `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, or 0 for none of them.
     pub pick: u32,
 }
 

@@ -63,7 +63,8 @@ pub trait Ports<'f>: Sized {
     /// The declarations, in order.
     const PORTS: &'static [abi::Port];
 
-    /// Finds every field's frames. `first` is the index of the struct's first port: above 0 where it is flattened into another.
+    /// Finds every field's frames. `first` is the index of the struct's first port: above 0 where it is flattened into
+    /// another.
     ///
     /// # Errors
     /// A frame that does not fit its port, or none where one is required.

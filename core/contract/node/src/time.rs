@@ -51,8 +51,8 @@ macro_rules! end_of {
 }
 
 impl Context<'_> {
-    /// For sources: sets when the light (or the packet) of this tick arrived, in ns of [`Context::clock_ns`]. All ages count from there. A time in
-    /// the future counts as now. Without it a tick arrives when it enters the graph.
+    /// For sources: sets when the light (or the packet) of this tick arrived, in ns of [`Context::clock_ns`]. All ages
+    /// count from there. A time in the future counts as now. Without it a tick arrives when it enters the graph.
     pub fn set_arrived_ns(&self, arrived_ns: i64) {
         let host = self.host();
         if let Some(set) = host.set_arrived_ns.filter(|_| has(host, end_of!(set_arrived_ns))) {
@@ -61,8 +61,8 @@ impl Context<'_> {
         }
     }
 
-    /// Declares that the outputs of this call show light that is older than that of the tick by `lag`: held or predicted values. Readers see
-    /// that age. Sources use [`Context::set_arrived_ns`].
+    /// Declares that the outputs of this call show light that is older than that of the tick by `lag`: held or
+    /// predicted values. Readers see that age. Sources use [`Context::set_arrived_ns`].
     pub fn set_lag(&self, lag: Duration) {
         let host = self.host();
         if let Some(set) = host.set_lag_ns.filter(|_| has(host, end_of!(set_lag_ns))) {
@@ -72,8 +72,9 @@ impl Context<'_> {
         }
     }
 
-    /// Age of an input's light: the time since it arrived at the host. In `batch`, and where the host has no arrival times, the difference of
-    /// capture times. [`Duration::MAX`] where it is unknown. A replay returns what the recorded run returned, so results may depend on it.
+    /// Age of an input's light: the time since it arrived at the host. In `batch`, and where the host has no arrival
+    /// times, the difference of capture times. [`Duration::MAX`] where it is unknown. A replay returns what the
+    /// recorded run returned, so results may depend on it.
     pub fn age(&self, packet: &impl Timed) -> Duration {
         let frame = packet.timed_frame();
         self.age_of(self.index_of(frame), frame.tick.capture_ns)
@@ -84,8 +85,8 @@ impl Context<'_> {
         self.age_of(Some(abi::INPUT_TICK), self.tick().capture_ns)
     }
 
-    /// When an input's light arrived, in ns of [`Context::clock_ns`], for times between two arrivals. In `batch`, and where the host has no
-    /// arrival times, the capture time; `None` where it is unknown.
+    /// When an input's light arrived, in ns of [`Context::clock_ns`], for times between two arrivals. In `batch`, and
+    /// where the host has no arrival times, the capture time; `None` where it is unknown.
     pub fn arrived_ns(&self, packet: &impl Timed) -> Option<i64> {
         let frame = packet.timed_frame();
         self.arrival_of(self.index_of(frame), frame.tick.capture_ns)

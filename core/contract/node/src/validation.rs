@@ -6,7 +6,8 @@ use crate::abi;
 use crate::error::NodeError;
 use crate::{Node, Params, Ports};
 
-/// The context of one check: takes the problems that the node reports, and gives what the parameters do not, such as the wiring.
+/// The context of one check: takes the problems that the node reports, and provides what the parameters lack, such as
+/// the wiring.
 ///
 /// The check runs when a graph is checked and again when the node is opened; the wiring is known only the first time.
 pub struct Validation<'a> {
@@ -37,7 +38,8 @@ pub(crate) struct Problem<'a> {
 }
 
 impl<'a> Validation<'a> {
-    /// A check of node type `N`. `wiring`: number of connections of each input, and a bit set of the outputs that are read, where known.
+    /// A check of node type `N`. `wiring`: number of connections of each input, and a bit set of the outputs that are
+    /// read, where known.
     pub(crate) fn new<N: Node>(
         node_id: &'a str,
         graph_dir: &'a Path,
@@ -98,8 +100,8 @@ impl<'a> Validation<'a> {
         self.connections.map(|_| index >= 64 || self.outputs_read >> index & 1 == 1)
     }
 
-    /// Reports that the node cannot open, or no tick can succeed, because of parameter `param`. `message` says what is wrong in one
-    /// sentence, `help` what to do.
+    /// Reports that the node cannot open, or no tick can succeed, because of parameter `param`. `message` says what is
+    /// wrong in one sentence, `help` what to do.
     ///
     /// # Panics
     /// The node has no such parameter.

@@ -1,4 +1,5 @@
-//! The example plugins in C and C++ under tests/c: built against the generated header, inspected as ELF files, then run.
+//! The example plugins in C and C++ under tests/c: built against the generated header, inspected as ELF files, then
+//! run.
 
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,9 @@
-//! Mistakes of a node's author, and what the compiler says about them. `PANOSCOPE_RENEW=1` renews the expected messages.
+//! Mistakes of a node's author, and what the compiler says about them. `PANOSCOPE_RENEW=1` renews the expected
+//! messages.
 //!
-//! `compile_fail` holds messages that the derives word themselves. Those in `compile_fail_rustc` come through rustc, whose frame
-//! around our words changes from version to version: they are compared on the version that they were recorded with.
+//! `compile_fail` holds messages that the derives word themselves. Those in `compile_fail_rustc` come through rustc,
+//! whose frame around our words changes from version to version: they are compared on the version that they were
+//! recorded with.
 //!
 //! Each case is given to rustc with the library that the tests link, so that nothing is built for them.
 

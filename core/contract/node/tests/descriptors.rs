@@ -48,7 +48,7 @@ struct Parts {
     params: Vec<abi::Param>,
     node: abi::NodeType,
     plugin: abi::Plugin,
-    /// How many times the type is listed.
+    /// Number of entries of the type in the list.
     times: usize,
 }
 
@@ -143,7 +143,7 @@ fn the_plugin_as_a_whole() {
     assert!(says(|p| p.plugin.magic = 7).contains("0x0000000000000007"));
     assert_eq!(
         says(|p| p.plugin.abi_major = 9),
-        "the plugin was built for ABI 9, this host has ABI 1: build the plugin anew"
+        "the plugin was built for ABI 9, this host has ABI 1: rebuild the plugin"
     );
     assert!(says(|p| p.plugin.struct_size = 8).starts_with("the plugin's descriptor: struct_size is 8, it must be"));
     assert_eq!(says(|p| p.plugin.node_types_len = 2), "plugin `demo`: node_types is a null pointer, its length is 2");
@@ -151,13 +151,13 @@ fn the_plugin_as_a_whole() {
     assert_eq!(says(|p| p.times = 2), "plugin `demo`: node type `filter` is declared twice");
     let latin1 = Str { ptr: b"f\xfcr".as_ptr(), len: 3 };
     assert_eq!(says(|p| p.plugin.name = latin1), "the plugin's descriptor: name is not UTF-8 text");
-    assert!(says(|p| p.plugin.name = Str::new("my plugin")).contains("`my plugin` is no name"));
+    assert!(says(|p| p.plugin.name = Str::new("my plugin")).contains("`my plugin` is not a valid name"));
 }
 
 #[test]
 fn node_types_one_by_one() {
     assert!(says(|p| p.node.struct_size = 0).starts_with("plugin `demo`, node type 1: struct_size is 0"));
-    assert!(says(|p| p.node.name = Str::EMPTY).starts_with("plugin `demo`, node type 1: `` is no name"));
+    assert!(says(|p| p.node.name = Str::EMPTY).starts_with("plugin `demo`, node type 1: `` is not a valid name"));
     assert_eq!(
         says(|p| p.node.kind = 7),
         "plugin `demo`, node type `filter`: kind is 0x7, which this host does not know"
@@ -199,7 +199,7 @@ fn params_one_by_one() {
     assert!(param(&|p| p.flags = abi::PARAM_POINTS).contains("only a list of numbers can hold points"));
     assert!(param(&|p| p.flags = abi::PARAM_FILE).contains("only a text or a path can name a file"));
     assert!(param(&|p| p.flags = abi::PARAM_POINTS | abi::PARAM_RECTANGLES).contains("as points, as rectangles or as"));
-    assert!(param(&|p| p.name = Str::new("two words")).contains("`two words` is no name"));
+    assert!(param(&|p| p.name = Str::new("two words")).contains("`two words` is not a valid name"));
     assert!(param(&|p| (p.kind, p.default_number) = (abi::PARAM_BOOL, 2.0)).contains("0 or 1, not 2"));
     assert!(param(&|p| p.kind = abi::PARAM_CHOICE).contains("the default is entry 1 of 0 choices"));
     static WORDS: [Str; 2] = [Str::new("same"), Str::new("same")];
@@ -210,7 +210,7 @@ fn params_one_by_one() {
         (p.kind, p.default_floats, p.default_floats_len) = (abi::PARAM_FLOATS, NUMBERS.as_ptr(), 2);
     };
     assert!(param(&list).contains("not finite"));
-    assert!(param(&|p| (p.kind, p.min) = (abi::PARAM_FLOATS, 1.0)).contains("has 0 numbers, allowed are 1 to 8"));
+    assert!(param(&|p| (p.kind, p.min) = (abi::PARAM_FLOATS, 1.0)).contains("has 0 numbers; allowed: 1 to 8"));
     assert!(param(&|p| (p.kind, p.default_text.len) = (abi::PARAM_TEXT, 4)).contains("default_text is a null pointer"));
 }
 

@@ -17,7 +17,7 @@ enum Trouble {
     Panic,
     /// A panic in a chunk of a loop.
     ChunkPanic,
-    /// A panic whose payload is no text.
+    /// A panic whose payload is not text.
     OddPanic,
     /// `open` fails.
     Open,

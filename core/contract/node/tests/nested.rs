@@ -152,5 +152,5 @@ fn another_number_of_values_is_refused() {
         panoscope_graph::ParamValue::Int(2),
     ]);
     let refused = Settings::read(values.values()).err().map(|error| error.to_string());
-    assert_eq!(refused.as_deref(), Some("6 parameters are declared, the host passed 2"));
+    assert_eq!(refused.as_deref(), Some("6 parameters are declared, but the host passed 2"));
 }

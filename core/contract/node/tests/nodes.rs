@@ -49,7 +49,7 @@ fn a_forwarded_frame_is_the_same_buffer() -> TestResult {
     let out = node.input_image::<GrayF32>("image", 1, 1, &[0.5]).process()?;
     assert_eq!(out.plane::<GrayF32>("image")?.data, [0.5]);
     let wrong = out.plane::<Gray8>("image").unwrap_err();
-    assert_eq!(wrong.to_string(), "output `image`: format 1 was expected, 5 arrived");
+    assert_eq!(wrong.to_string(), "output `image`: expected format 1, got 5");
     Ok(())
 }
 
@@ -154,7 +154,7 @@ fn mistakes_in_a_test_are_named() -> TestResult {
     let twice = |n: &mut Harness<Negative>| {
         n.input_image::<Gray8>("image", 1, 1, &[0]).input_image::<Gray8>("image", 1, 1, &[0]);
     };
-    assert_eq!(fails(&twice), "input `image` was given twice; it is not a list");
+    assert_eq!(fails(&twice), "input `image` was given twice, but it is not a list");
     // A mistake does not affect the next call.
     assert!(node.input_image::<Gray8>("image", 1, 1, &[0]).process().is_ok());
     Ok(())
@@ -369,7 +369,7 @@ fn every_packet_family_survives_a_hop() -> TestResult {
     Ok(())
 }
 
-/// How pixels between others are found.
+/// Interpolation between pixels.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 enum Method {
     /// The nearest one.
@@ -470,7 +470,7 @@ fn parameters_are_checked_like_a_graph_file() -> TestResult {
         "node.toml:1:",
         "`every` has no parameter `serch_px`",
         "did you mean `search_px`?",
-        "`shift` is 99, allowed are -10 to 10",
+        "`shift` is 99; allowed: -10 to 10",
         "`cubic` is not a choice of `method`",
     ] {
         assert!(wrong.contains(part), "{part:?} is missing in:\n{wrong}");

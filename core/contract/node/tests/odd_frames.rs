@@ -1,4 +1,5 @@
-//! Frames whose description does not fit their bytes, as a faulty plugin might make them, give errors and no read outside the buffer.
+//! Frames whose description does not fit their bytes, as a faulty plugin might make them, give errors and no read
+//! outside the buffer.
 
 use panoscope_node::abi::{self, DetectionsHeader, Frame, Roi, TableHeader};
 use panoscope_node::input::FromFrame;

@@ -5,7 +5,7 @@ use quote::{ToTokens, quote, quote_spanned};
 use syn::Type;
 use syn::spanned::Spanned;
 
-/// What a struct declares, in the order of its fields.
+/// Declarations of a struct, in the order of its fields.
 pub struct Declarations {
     /// `Params` or `Ports<'f>`: the trait of a flattened struct.
     nested_trait: TokenStream,
@@ -32,7 +32,7 @@ enum Part {
 }
 
 impl Declarations {
-    /// No parameters yet.
+    /// An empty list of parameters.
     pub fn of_params() -> Self {
         Self {
             nested_trait: quote!(::panoscope_node::Params),
@@ -46,7 +46,8 @@ impl Declarations {
         }
     }
 
-    /// No ports yet, in a struct of this lifetime. Flattened types must have `'static` in its place, see [`with_static`].
+    /// An empty list of ports of a struct with this lifetime. Flattened types must have `'static` instead, see
+    /// [`with_static`].
     pub fn of_ports(lifetime: &str) -> Self {
         Self {
             nested_trait: quote!(::panoscope_node::Ports<'static>),
@@ -66,7 +67,7 @@ impl Declarations {
         quote_spanned!(ty.span()=> <#ty as #nested_trait>::#list)
     }
 
-    /// How many declarations stand before the next one: an expression.
+    /// The index of the next declaration, as an expression.
     pub fn next_index(&self) -> TokenStream {
         let own: usize = self.parts.iter().map(|part| if let Part::Own(own) = part { own.len() } else { 0 }).sum();
         let nested = self.parts.iter().filter_map(|part| match part {
@@ -151,7 +152,7 @@ impl Declarations {
     }
 }
 
-/// A type as a person writes it.
+/// The source text of a type.
 fn shown(ty: &Type) -> String {
     ty.to_token_stream().to_string().replace(' ', "").replace("'static", "'_")
 }

@@ -60,7 +60,8 @@ struct Attribute {
     flatten: Option<Ident>,
 }
 
-/// Endings of parameter names that state a unit, longest first: a reader of a graph file takes `window_px` for pixels.
+/// Suffixes of parameter names that state a unit, longest first: a reader of a graph file assumes that `window_px` is
+/// in pixels.
 const ENDINGS: &[(&str, &[&str])] = &[
     ("_mm_s2", &["mm/s2"]),
     ("_px_s", &["px/s"]),
@@ -85,7 +86,7 @@ const ENDINGS: &[(&str, &[&str])] = &[
     ("_mib", &["MiB"]),
 ];
 
-/// A unit that the parameter's name contradicts.
+/// Refuses a unit that contradicts the parameter's name.
 fn check_ending(name: &str, unit: &LitStr) -> Result<()> {
     let Some((ending, units)) = ENDINGS.iter().find(|(ending, _)| name.ends_with(ending)) else { return Ok(()) };
     if units.contains(&unit.value().as_str()) {
@@ -100,7 +101,7 @@ fn check_ending(name: &str, unit: &LitStr) -> Result<()> {
     Err(Error::new_spanned(unit, message))
 }
 
-/// How a person picks a value: the word in the attribute, and the flag of the contract.
+/// Ways to pick a value in the editor: the word in the attribute, and the flag of the contract.
 const PICKS: [(&str, &str); 3] =
     [("points", "PARAM_POINTS"), ("rectangles", "PARAM_RECTANGLES"), ("file", "PARAM_FILE")];
 
@@ -167,7 +168,7 @@ impl Parse for Attribute {
 }
 
 impl Attribute {
-    /// A key that says something about a parameter, if there is one.
+    /// The first key other than `flatten`, if there is one.
     fn other_than_flatten(&self) -> Option<String> {
         let flags = [&self.must_exist, &self.writes, &self.shipped, &self.pick];
         let flag = flags.into_iter().flatten().next().map(Ident::to_string);
@@ -182,16 +183,17 @@ impl Attribute {
     }
 }
 
-/// Number types whose need for a range shows without asking the compiler.
+/// Number types that are recognized by name and need a range.
 const NUMBERS: &[&str] = &["u8", "u16", "u32", "u64", "usize", "i8", "i16", "i32", "i64", "f32", "f64"];
 
-/// What can be seen in the text is an error here; what only the compiler knows becomes an assertion that points at the text.
+/// Checks of a declaration. Those that the tokens decide are errors here; the others become assertions with the span of
+/// the tokens.
 struct Checks {
     asserts: TokenStream,
 }
 
 impl Checks {
-    /// `known` is the condition's value when the text alone tells it.
+    /// `known`: value of the condition, where the tokens decide it.
     fn check(&mut self, at: &dyn ToTokens, known: Option<bool>, condition: TokenStream, message: String) -> Result<()> {
         match known {
             Some(true) => {}
@@ -297,7 +299,7 @@ fn checks(ident: &Ident, ty: &Type, attribute: &Attribute, default: &Expr) -> Re
     Ok(out.asserts)
 }
 
-/// Tokens as a person writes them.
+/// The source text of tokens.
 fn tidy(text: &str) -> String {
     let mut out = text.replace("- ", "-");
     for sign in ["<", ">", "::", "(", ")", ","] {

@@ -1,5 +1,5 @@
-//! What a graph costs against the width of its pictures, the number of cameras, of nodes and of threads, as tables and curves; and what it would do on
-//! more cores than there are, by a simulation from recorded calls.
+//! Cost of a graph by image width and number of cameras, nodes and threads, as tables and curves, and a simulation of
+//! more cores from recorded calls.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -20,10 +20,10 @@ use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Pace};
 use crate::session::{Session, note};
 
-/// Pictures of 16:9, as endoscopes and screens have them.
+/// Images of 16:9, as used by endoscopes and screens.
 const SIZES: [(u32, u32); 6] = [(640, 360), (960, 540), (1280, 720), (1920, 1080), (2560, 1440), (3840, 2160)];
 const CORES: [usize; 5] = [1, 2, 4, 8, 16];
-/// Ticks between source and sinks in a live graph, as the engine admits them.
+/// Ticks between source and sinks in a live graph, as admitted by the engine.
 const IN_FLIGHT: usize = panoscope_engine::TICKS_LIVE as usize;
 /// Maximum number of pairs of a size that are rendered for panoramas.
 const PAIRS: u64 = 12;
@@ -31,13 +31,13 @@ const PAIRS: u64 = 12;
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer sizes, cameras and frames: a quick look instead of a measurement.
+    /// Fewer sizes, cameras and frames: a quick check instead of a measurement.
     pub quick: bool,
     /// Graph with a `phantom`, whose views are rendered beforehand.
     pub graph: PathBuf,
     /// Its overlays, arguments and settings.
     pub given: GraphOptions,
-    /// Picture for the curves.
+    /// Image file for the curves.
     pub plot: Option<PathBuf>,
 }
 
@@ -46,9 +46,9 @@ pub struct Options {
 struct Cost {
     /// Width in px, cameras, or threads.
     at: f64,
-    /// Pictures a second of each camera when nothing holds them back, once all have been read from their files.
+    /// Unpaced frames per second of each camera, after all have been read from their files.
     fps: f64,
-    /// Processor time of a picture, all threads, ms; the reading of the first ones is in it.
+    /// Processor time per frame, all threads, ms; includes reading the first ones.
     cpu_ms: f64,
 }
 
@@ -60,7 +60,7 @@ fn frames_of(size: (u32, u32), quick: bool) -> u64 {
 }
 
 impl Cost {
-    /// Of a run whose first `read` pictures came from files.
+    /// The cost of a run whose first `read` frames came from files.
     fn of(done: &Run, at: f64, read: u64) -> Self {
         let cpu_ms = 1e3 * done.cpu_seconds / done.report.frames.max(1) as f64;
         Self { at, fps: screen_fps(done, read), cpu_ms }
@@ -81,7 +81,7 @@ fn widths(session: &dyn Session, options: &Options) -> Result<Vec<Cost>> {
     sizes.map(of_size).collect()
 }
 
-/// A graph that makes a panorama of each of so many pairs of cameras, as `graphs/panorama_large.toml` does.
+/// A graph that makes a panorama of each of `count` pairs of cameras, like `graphs/panorama_large.toml` does.
 fn panoramas(pairs: &Pairs, count: usize, parts: &Path, out: &Path) -> String {
     let mut text = "mode = \"live\"\nplugins = [\"capture\", \"stereo\", \"sinks\"]\n".to_owned();
     let part = |name: &str| quoted(&parts.join(name));
@@ -120,7 +120,7 @@ fn cameras(session: &dyn Session, options: &Options, size: (u32, u32), counts: &
     counts.iter().map(of_count).collect()
 }
 
-/// The graph with so many threads, and the calls of its run with one.
+/// The graph with different numbers of threads, and the calls of its run with one.
 fn threads(session: &dyn Session, options: &Options) -> Result<(Vec<Cost>, Option<Recorded>)> {
     let rendered = Rendered::of(session, &options.graph, &options.given, None)?;
     let text = rendered.text("off", CAMERA_HZ)?;
@@ -157,7 +157,7 @@ fn points(costs: &[Cost], of: fn(&Cost) -> f64) -> Vec<(f64, f64)> {
     costs.iter().map(|c| (c.at, of(c))).collect()
 }
 
-/// Measures the curves, shows them and draws them where `plot` names a picture.
+/// Measures the curves, shows them, and draws them if `plot` names a file.
 pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let quick = options.quick;
     let name = options.graph.file_name().unwrap_or_default().to_string_lossy().into_owned();

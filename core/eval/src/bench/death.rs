@@ -1,4 +1,4 @@
-//! How soon the death of an isolated node's process is noticed, and how soon its nodes work again.
+//! Time until the death of an isolated node's process is detected, and until its nodes work again.
 
 use std::time::{Duration, Instant};
 
@@ -13,12 +13,12 @@ use crate::statistics::percentile;
 use crate::system;
 
 const RATE_HZ: f64 = 100.0;
-/// From one kill to the next: longer than the host waits before it starts a process that died for the first time.
+/// Time between two kills, longer than the host waits before it starts a process that died for the first time.
 const BETWEEN: Duration = Duration::from_millis(1_500);
-/// A node that does not come back in this time is counted with it.
+/// Maximum recovery time; a longer one counts as this.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Kills the process of a node again and again while frames pass through it.
+/// Kills the process of a node repeatedly while frames pass through it.
 pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     let kills = if quick { 5 } else { 60 };
     let text = graph::isolated(&graph::chain("pass", 1, None, Pace::Hz(RATE_HZ)), "n0");
@@ -78,7 +78,7 @@ impl State {
     }
 }
 
-/// Waits until `is_so` or a time; asks five times a millisecond.
+/// Waits until `is_so` or a time; polls five times per millisecond.
 fn wait(until: Instant, is_so: impl Fn() -> bool) {
     while !is_so() && Instant::now() < until {
         std::thread::sleep(Duration::from_micros(200));

@@ -1,4 +1,5 @@
-//! The peer of nodes in Python: a Python node of dora (`pip install dora-rs dora-rs-cli pyarrow`), on the same machine in the same run.
+//! The peer of nodes in Python: a Python node of dora (`pip install dora-rs dora-rs-cli pyarrow`), on the same machine
+//! in the same run.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,13 +10,13 @@ const PEER: &str = include_str!("dora_peer.py");
 /// Maximum number of seconds that a run may take.
 const MAX_RUN_S: &str = "60";
 
-/// Whether dora is there: its program, and its module for Python.
+/// Whether dora is installed: its program, and its module for Python.
 pub fn is_there() -> bool {
     let works = |command: &mut Command| command.output().is_ok_and(|output| output.status.success());
     works(Command::new("dora").arg("--version")) && works(Command::new("python3").args(["-c", "import dora, pyarrow"]))
 }
 
-/// Median time of a picture to a Python node and back, ns, the sender's own Python included. `None` where dora did not run.
+/// Median round-trip time of an image to a Python node, ns, including the sender's Python. `None` if dora did not run.
 ///
 /// # Errors
 /// The folder cannot be written.

@@ -1,4 +1,4 @@
-//! What the window costs. The graph runs without and with it, turn about, its source at 10 fps.
+//! Cost of the window. The graph runs alternately without and with it, its source at 10 fps.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -44,7 +44,7 @@ fn large(chains: usize) -> String {
     text
 }
 
-/// A screen: the one there is, or one that nobody sees.
+/// A screen: the existing one, or a virtual one.
 struct Screen {
     server: Option<Child>,
     display: String,
@@ -86,7 +86,7 @@ pub struct Options {
     pub program: PathBuf,
     /// The editor's program.
     pub editor: PathBuf,
-    /// Fewer frames and rounds: a quick look instead of a measurement.
+    /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
 }
 
@@ -116,7 +116,7 @@ impl Bench<'_> {
         Self::json(&file)
     }
 
-    /// How the window would arrange a graph: `arrangement/<name>` in a window of 1440x900.
+    /// The window's layout of a graph: `arrangement/<name>` in a window of 1440x900.
     fn arrangement(&self, name: &str, graph: &Path) -> Result<[Figure; 2]> {
         let file = self.folder.join("arrangement.json");
         let status = Command::new(&self.options.editor).arg(graph).arg("--arrangement").arg(&file).status()?;
@@ -132,7 +132,7 @@ impl Bench<'_> {
         ])
     }
 
-    /// What the window reports of a run.
+    /// The window's report of a run.
     fn with(&self, graph: &Path, arguments: &[&str]) -> Result<Value> {
         let editor = &self.options.editor;
         if !editor.is_file() {
@@ -150,7 +150,7 @@ impl Bench<'_> {
     }
 }
 
-/// Median times of all nodes, added up; ms.
+/// Sum of the median times of all nodes, ms.
 fn work_ms(report: &Value) -> f64 {
     let nodes = report["nodes"].as_object().into_iter().flatten();
     nodes.filter_map(|(_, node)| node["p50_ms"].as_f64()).sum()

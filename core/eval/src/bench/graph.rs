@@ -13,15 +13,15 @@ use crate::run;
 use crate::session::{Session, check_cancelled};
 use crate::system::usage;
 
-/// What every hop carries.
+/// Frame format of every hop.
 pub const INPUT: &str = "640x480 bgr8";
 
-/// How frames come and go.
+/// Pace of the frames.
 #[derive(Clone, Copy)]
 pub enum Pace {
-    /// As fast as they are taken, none lost.
+    /// As fast as they are accepted, none lost.
     Saturated,
-    /// Live, at so many frames per second.
+    /// Live, at this many frames per second.
     Hz(f64),
 }
 
@@ -37,7 +37,7 @@ pub fn chain(node: &str, count: usize, queue: Option<u32>, pace: Pace) -> String
     text
 }
 
-/// A graph text with one of its nodes in a process of its own.
+/// A graph text with one of its nodes in a separate process.
 pub fn isolated(text: &str, node: &str) -> String {
     text.replacen(&format!("[nodes.{node}]\n"), &format!("[nodes.{node}]\nisolate = \"bench\"\n"), 1)
 }
@@ -69,7 +69,7 @@ fn edge(from: &str, queue: Option<u32>) -> String {
     }
 }
 
-/// What a run took.
+/// Cost of a run.
 pub struct Run {
     /// Counters of the engine.
     pub report: Report,
@@ -86,7 +86,7 @@ impl Run {
     }
 }
 
-/// Runs a graph for so many frames.
+/// Runs a graph for `frames` frames.
 pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
     let before = usage();
     let engine = start(session, text, Some(frames))?;
@@ -100,7 +100,7 @@ pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
     })
 }
 
-/// Starts a graph, for so many frames or until it is stopped.
+/// Starts a graph, for a number of frames or until it is stopped.
 pub fn start(session: &dyn Session, text: &str, frames: Option<u64>) -> Result<Engine> {
     check_cancelled(session)?;
     let text = GraphText::parse(Path::new("bench.toml"), text);

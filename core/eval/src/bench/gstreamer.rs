@@ -1,7 +1,7 @@
-//! GStreamer beside us: the same frames through its own elements, in this process, timed by the same clock.
+//! GStreamer as a peer: the same frames through its own elements, in this process, timed by the same clock.
 //!
-//! The library is opened when it is there; nothing of it is needed to build. Times are taken by probes on the pads where a
-//! frame leaves its source and where it reaches its sink, which is what the engine's own ages span.
+//! The library is opened at run time if it is installed; building needs nothing of it. Times are taken by probes on the
+//! pads where a frame leaves its source and where it reaches its sink, which is what the engine's own ages span.
 
 #![allow(unsafe_code)]
 
@@ -36,7 +36,7 @@ pub struct GStreamer {
     message_unref: unsafe extern "C" fn(Object),
 }
 
-/// What a pipeline took.
+/// Cost of a pipeline.
 pub struct Run {
     /// Wall time per frame, from the first frame at the source to the last at the sink.
     pub ns_per_frame: f64,
@@ -45,7 +45,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// The age that a share `q` of the frames does not exceed.
+    /// The `q` quantile of the frame age, ns.
     pub fn age_ns(&self, q: f64) -> f64 {
         let last = self.ages_ns.len().saturating_sub(1);
         self.ages_ns.get((last as f64 * q).round() as usize).copied().unwrap_or(0) as f64
@@ -96,7 +96,8 @@ impl GStreamer {
         }
     }
 
-    /// `fakesrc` -> `elements` -> `fakesink`, 921,600 bytes a frame that nobody touches, as ours; nothing is signalled or kept.
+    /// `fakesrc` -> `elements` -> `fakesink`, 921,600 untouched bytes per frame, as in ours; nothing is signalled or
+    /// kept.
     pub fn run(&self, session: &dyn Session, elements: &[&str], frames: u64, rate_hz: Option<f64>) -> Result<Run> {
         let pace = rate_hz.map_or_else(String::new, |hz| {
             format!(" is-live=true sync=true format=time datarate={}", (921_600.0 * hz) as u64)
@@ -120,7 +121,7 @@ impl GStreamer {
             let pipeline = (self.parse_launch)(text.as_ptr(), null_mut());
             if pipeline.is_null() {
                 return Err(EvalError::Peer {
-                    reason: format!("GStreamer makes no pipeline of: {}", text.to_string_lossy()),
+                    reason: format!("GStreamer cannot make a pipeline of: {}", text.to_string_lossy()),
                 });
             }
             for (name, pad, times) in [(c"source", c"src", &mut left), (c"sink", c"sink", &mut arrived)] {

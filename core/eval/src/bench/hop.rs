@@ -1,4 +1,4 @@
-//! What a frame's way from node to node costs.
+//! Cost of passing a frame from node to node.
 
 use super::death;
 use super::graph::{self, INPUT, Pace};
@@ -17,7 +17,7 @@ const IDENTITY: &str = "identity silent=true signal-handoffs=false";
 // `silent`: it need not signal that it runs full or empty.
 const GST_QUEUE: &str = "queue silent=true max-size-buffers=64 max-size-bytes=0 max-size-time=0";
 
-/// Least time per chain length over the rounds, ours and the peer's.
+/// Minimum time per chain length over the rounds, ours and the peer's.
 struct Series {
     lengths: Vec<usize>,
     ours: Vec<f64>,
@@ -58,7 +58,7 @@ impl Series {
     }
 }
 
-/// Measures all cases, turn about with GStreamer where it is installed.
+/// Measures all cases, alternating with GStreamer if it is installed.
 pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     let gst = GStreamer::open();
     if gst.is_none() {
@@ -190,7 +190,7 @@ fn paced(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result<
     ])
 }
 
-/// A frame to a node in another process and back: one message each way. Pixels are not copied.
+/// Round trip of a frame to a node in another process: one message each way. Pixels are not copied.
 fn isolated(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     let (frames, rounds) = if quick { (200, 1) } else { (600, 3) };
     let (mut busy_ns, mut paced_ns, mut late_ns) = (f64::INFINITY, f64::INFINITY, f64::INFINITY);

@@ -1,7 +1,8 @@
-//! OpenIGTLink: how late a message leaves a graph that hands it on, beside the OpenIGTLink library and pyigtl.
+//! OpenIGTLink: delay of a message forwarded by a graph, compared with the OpenIGTLink library and pyigtl.
 //!
-//! A graph of `igtl_receive` and `igtl_send` runs in a process of its own. This process sends it transforms at 1,000 Hz, then pictures, over loopback and
-//! takes the time until each comes back: two ways, two nodes and the engine between them. The program on the library does the same without an engine.
+//! A graph of `igtl_receive` and `igtl_send` runs in a separate process. This process sends it transforms at 1,000 Hz,
+//! then images, over loopback and measures the time until each returns: two transfers, two nodes and the engine
+//! between them. The program on the library does the same without an engine.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -25,7 +26,7 @@ use crate::statistics::percentile;
 pub struct Options {
     /// The `panoscope` program, which runs the graph.
     pub program: PathBuf,
-    /// Shorter runs: a look, not a measurement.
+    /// Shorter runs: a quick check, not a measurement.
     pub quick: bool,
 }
 
@@ -34,9 +35,9 @@ const PYIGTL_PEER: &str = include_str!("igtl_peer.py");
 const TRANSFORM_HZ: f64 = 1000.0;
 const IMAGE_HZ: f64 = 60.0;
 const SIZE_PX: (usize, usize) = (640, 480);
-/// Pictures under way where they are sent as fast as they come back.
+/// Images in flight when they are sent as fast as they return.
 const IN_FLIGHT: u64 = 2;
-/// Longest wait for a program to answer.
+/// Maximum wait for a program's answer.
 const PATIENCE: Duration = Duration::from_secs(20);
 const DEVICE: &str = "ToolToTracker";
 
@@ -65,7 +66,7 @@ fn connect(port: u16) -> Result<TcpStream> {
                 return Ok(stream);
             }
             Err(error) if Instant::now() > end => {
-                return Err(EvalError::Peer { reason: format!("no program answers on port {port}: {error}") });
+                return Err(EvalError::Peer { reason: format!("no program responds on port {port}: {error}") });
             }
             Err(_) => std::thread::sleep(Duration::from_millis(20)),
         }
@@ -78,7 +79,7 @@ fn start(command: &mut Command) -> Result<Running> {
     Ok(Running(command.spawn().on_file(FileAction::Start, &program)?))
 }
 
-/// A graph that hands on what it receives.
+/// A graph that forwards its input.
 fn graph(options: &Options, folder: &Path, port: u16) -> Result<Running> {
     let text = format!(
         "mode = \"live\"\nplugins = [\"openigtlink\"]\n\
@@ -90,7 +91,7 @@ fn graph(options: &Options, folder: &Path, port: u16) -> Result<Running> {
     start(Command::new(&options.program).arg("run").arg(&file).arg("--headless"))
 }
 
-/// Builds the program on the library; `None` where the library or a compiler is missing.
+/// Builds the program on the library; `None` if the library or a compiler is missing.
 fn library_program(folder: &Path) -> Result<Option<PathBuf>> {
     let (source, program) = (folder.join("igtl_peer.cpp"), folder.join("igtl_peer"));
     std::fs::write(&source, LIBRARY_PEER).on_file(FileAction::Write, &source)?;
@@ -104,7 +105,7 @@ fn transform(number: u64) -> Content<'static> {
     Content::Transform(Transform { translation_mm: [number as f32, 0.0, 0.0], ..Transform::default() })
 }
 
-/// The number that a message was given.
+/// The number of a message.
 fn number_of(content: &Content<'_>) -> Option<u64> {
     match content {
         Content::Transform(transform) => Some(transform.translation_mm[0] as u64),
@@ -113,23 +114,23 @@ fn number_of(content: &Content<'_>) -> Option<u64> {
     }
 }
 
-/// A picture whose first bytes are its number. Red and blue change places on the way through a graph and back.
+/// An image whose first bytes are its number. Red and blue are swapped on the way through a graph and back.
 fn picture(number: u64, pixels: &mut [u8]) -> Result<Content<'_>> {
     pixels[..8].copy_from_slice(&number.to_le_bytes());
     let image = Image::picture(SIZE_PX.0, SIZE_PX.1, 3, Scalar::Uint8, 1.0, pixels);
     Ok(Content::Image(image.map_err(|error| EvalError::Input { reason: error.to_string() })?))
 }
 
-/// How a program did.
+/// Result of a program.
 struct Outcome {
-    /// Times from sending to coming back, ms.
+    /// Round-trip times, ms.
     times_ms: Vec<f64>,
     sent: u64,
-    /// Messages that came back a second.
+    /// Returned messages per second.
     rate_hz: f64,
 }
 
-/// Sends for `seconds` at `rate_hz`, or as fast as messages come back, and takes their times.
+/// Sends for `seconds` at `rate_hz`, or as fast as messages return, and measures their times.
 fn echo(port: u16, is_picture: bool, rate_hz: Option<f64>, seconds: f64) -> Result<Outcome> {
     let stream = connect(port)?;
     let mut sending = stream.try_clone()?;
@@ -198,7 +199,7 @@ fn send(
             }
         }
         if is_over.load(Ordering::Acquire) {
-            return Err(EvalError::Peer { reason: "the program at the other end closed the connection".to_owned() });
+            return Err(EvalError::Peer { reason: "the peer closed the connection".to_owned() });
         }
         let content = if is_picture { picture(number, &mut pixels)? } else { transform(number) };
         bytes.clear();
@@ -212,7 +213,8 @@ fn send(
     Ok(sent)
 }
 
-/// Times of pyigtl's transforms from their timestamps to their arrival here, one way, ms; `None` where pyigtl is not there.
+/// Times of pyigtl's transforms from their timestamps to their arrival here, one way, ms; `None` if pyigtl is not
+/// installed.
 fn pyigtl_ms(folder: &Path, seconds: f64) -> Result<Option<Vec<f64>>> {
     if !Command::new("python3").args(["-c", "import pyigtl"]).output().is_ok_and(|output| output.status.success()) {
         return Ok(None);
@@ -231,7 +233,7 @@ fn pyigtl_ms(folder: &Path, seconds: f64) -> Result<Option<Vec<f64>>> {
     Ok(Some(times_ms))
 }
 
-/// Measures: transforms at 1,000 Hz, pictures of 640x480 at 60 Hz and as fast as they come back.
+/// Measures: transforms at 1,000 Hz, images of 640x480 at 60 Hz and as fast as they come back.
 ///
 /// # Errors
 /// The graph does not run, or a connection breaks.
@@ -277,7 +279,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     Ok(figures)
 }
 
-/// The figures of a case: of several rounds the best, because whatever else the machine does only adds.
+/// The figures of a case: the best of several rounds, because other load only adds time.
 fn case(name: &str, is_picture: bool, rate_hz: Option<f64>, own: &[Outcome], theirs: &[Outcome]) -> Vec<Figure> {
     let what = if is_picture { "640x480 RGB" } else { "TRANSFORM" };
     let pace = rate_hz.map_or("as fast as they come back".to_owned(), |rate_hz| format!("at {rate_hz:.0} Hz"));

@@ -1,4 +1,4 @@
-//! What the runtime itself costs.
+//! Benches of the runtime itself.
 
 pub mod cost;
 mod death;
@@ -17,5 +17,5 @@ pub mod stitch;
 pub mod system;
 pub mod tools;
 
-/// Pictures a second of a camera, unless a bench asks for another rate.
+/// Default frames per second of a camera.
 pub const CAMERA_HZ: u32 = 30;

@@ -1,4 +1,4 @@
-//! What a frame's way to a node in Python and back costs, and how soon such a node is back after it died.
+//! Round-trip cost of a frame to a Python node, and the recovery time of such a node.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -23,7 +23,7 @@ class HandOn:
     def process(self, image: ps.AnyImage) -> ps.AnyImage:
         return image
 ";
-/// Each instance does harm at its 40th frame.
+/// A node whose instances each fail at their 40th frame.
 const HARMFUL: &str = "\
 import ctypes, os
 import numpy as np
@@ -49,7 +49,7 @@ class DoesHarm:
                 pass
         return image
 ";
-/// What the node does, and in words.
+/// Failures of the node, with their descriptions.
 const HARMS: [(&str, &str); 4] = [
     ("segv", "a segmentation fault"),
     ("exit", "os._exit"),
@@ -68,7 +68,7 @@ impl Drop for Folder {
     }
 }
 
-/// Measures at two sizes: no pixel is copied, so that the size makes no difference.
+/// Measures at two sizes: no pixel is copied, so the size should make no difference.
 pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     if !Command::new("python3").args(["-c", "import numpy"]).output().is_ok_and(|output| output.status.success()) {
         note!(session, "skipped: nodes in Python: no python3 with NumPy");

@@ -1,4 +1,5 @@
-//! What an edge to another machine costs, beside zenoh alone and dora. The other machine is a process on this one, reached over TCP.
+//! Cost of an edge to another machine, compared with zenoh alone and dora. The other machine is a process on this one,
+//! reached over TCP.
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
@@ -11,7 +12,7 @@ use crate::error::{EvalError, FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::session::{Session, note};
 
-/// What is measured.
+/// Options of the bench.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The program `panoscope`.
@@ -68,7 +69,7 @@ impl Machine {
     }
 }
 
-/// Seconds in which so many messages pass from one zenoh session to another.
+/// Seconds for `count` messages from one zenoh session to another.
 fn zenoh_alone_s(program: &Path, bytes: usize, count: u64) -> Result<f64> {
     let mut command = Command::new(program.with_file_name(panoscope_host::isolate::MACHINE_PROGRAM));
     command.args(["bench", &free_port()?.to_string(), &bytes.to_string(), &count.to_string()]);

@@ -1,4 +1,4 @@
-//! Cost of a tick against the number of nodes.
+//! Cost of a tick by number of nodes.
 
 use super::graph::{self, Pace};
 use crate::error::Result;

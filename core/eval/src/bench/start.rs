@@ -17,7 +17,8 @@ const NODES: usize = 1_000;
 /// The graph of `cargo xtask demo`.
 const DEMO: &str = "panorama.toml";
 
-/// Text to first tick at the sink of one graph, and the part of it that checking took; ms. `settings` are `node.param=value`.
+/// Time from text to first tick at the sink of one graph, and the share of checking; ms. `settings` are
+/// `node.param=value`.
 fn once(parse: &dyn Fn() -> Result<GraphText>, settings: &[String]) -> Result<(f64, f64)> {
     let begin = Instant::now();
     let mut text = parse()?;
@@ -32,14 +33,14 @@ fn once(parse: &dyn Fn() -> Result<GraphText>, settings: &[String]) -> Result<(f
     let options = Options { frames: Some(1), paced: false, ..Options::default() };
     let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
     if !engine.wait(Some(Duration::from_secs(60))) {
-        return Err(EvalError::Incomplete { what: "the first tick did not come through within a minute".to_owned() });
+        return Err(EvalError::Incomplete { what: "the first tick did not finish within a minute".to_owned() });
     }
     let through = begin.elapsed();
     engine.close(Duration::from_secs(10));
     Ok((through.as_secs_f64() * 1e3, checked.as_secs_f64() * 1e3))
 }
 
-/// Measures graphs of 1,000 nodes, from text until the first tick is through.
+/// Measures graphs of 1,000 nodes, from text to the first tick at the sink.
 pub fn measure(quick: bool) -> Result<Vec<Figure>> {
     let rounds = if quick { 1 } else { 5 };
     let chain = graph::chain("pass", NODES - 2, None, Pace::Saturated);

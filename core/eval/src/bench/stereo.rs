@@ -1,8 +1,8 @@
-//! The thesis's chain step by step, beside OpenCV's four steps (thesis, table 3.2), and lengths and depths
-//! on the phantom beside their truth (figs 3.14 and 3.15).
+//! The thesis's chain step by step, compared with OpenCV's four steps (thesis, table 3.2), and lengths and depths on
+//! the phantom compared with ground truth (figs 3.14 and 3.15).
 //!
-//! Both chains are graphs of real nodes on the same pictures of the phantom, rendered beforehand and run turn about, one pair after
-//! the other. Times are the nodes' own, as the engine counts them.
+//! Both chains are graphs of real nodes on the same images of the phantom, rendered beforehand and run alternately,
+//! one pair after the other. Times are the nodes' own, measured by the engine.
 
 use std::path::{Path, PathBuf};
 
@@ -21,20 +21,20 @@ use crate::session::{Session, note};
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer frames and rounds: a quick look instead of a measurement.
+    /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
-    /// PNG file for measured lengths and depths beside the true ones.
+    /// PNG file for measured lengths and depths against the true ones.
     pub plot: Option<PathBuf>,
 }
 
 /// Scenes of the table.
 const SCENES: [&str; 4] = ["bowel", "liver", "cavity", "box"];
-/// Pairs that are rendered and played round and round.
+/// Pairs that are rendered and played in a loop.
 const PAIRS: u64 = 8;
 /// Distance whose lengths and depths are printed.
 const PRINTED_MM: f64 = 50.0;
 
-/// What the end of both chains is called.
+/// Name of the end of both chains.
 const LAST: [(&str, &str); 1] = [("fbs", "disparity")];
 
 /// First disparity and number of disparities that are searched.
@@ -45,7 +45,8 @@ struct Search {
     width_px: u32,
 }
 
-/// Size of the views, and its searches: what is left when the offset is known, and all from the horizon to the nearest tissue.
+/// Size of the views, and its searches: the remaining range when the offset is known, and the full range from the
+/// horizon to the nearest tissue.
 struct Size {
     width: u32,
     height: u32,
@@ -81,7 +82,7 @@ struct Case<'a> {
 }
 
 impl Case<'_> {
-    /// The case whose figures carry the plain names.
+    /// Whether this is the case whose figures have unprefixed names.
     fn is_first(&self) -> bool {
         self.scene == SCENES[0] && self.size.width == 640 && self.search.width_px == 64
     }
@@ -151,7 +152,7 @@ params = {{ threads = {threads} }}
             )
     }
 
-    /// Best medians of the rounds, ours and OpenCV's: whatever else the machine does only adds.
+    /// Best medians of the rounds, ours and OpenCV's: other load only adds time.
     fn measure(&self, session: &dyn Session, source: &str, frames: u64, rounds: usize) -> Result<([f64; 3], [f64; 3])> {
         let (mut own, mut peer) = ([f64::INFINITY; 3], [f64::INFINITY; 3]);
         let mut no_peer = None;
@@ -170,7 +171,7 @@ params = {{ threads = {threads} }}
     }
 }
 
-/// Runs a chain on so many threads (OpenCV brings its own) and gives the median time of each step in ms.
+/// Runs a chain on a number of threads (OpenCV uses its own) and returns the median time of each step in ms.
 fn steps(session: &dyn Session, text: &str, threads: usize, frames: u64) -> Result<[f64; 3]> {
     let plan =
         Plan { text, path: Path::new("bench.toml"), frames: Some(frames), threads, ports: &LAST, pace: Pace::Alone };

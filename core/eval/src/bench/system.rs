@@ -1,5 +1,5 @@
-//! A whole graph (graphs/surgeon.toml) on views rendered beforehand, so that nothing but the system is at
-//! work: how many pictures a second it makes when nothing holds it back, and how old they are at 30 a second.
+//! A whole graph (graphs/surgeon.toml) on views rendered beforehand, so that only the system runs: its frames per
+//! second when unpaced, and their age at 30 per second.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,8 +19,8 @@ use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::{Session, note};
 use crate::system::usage;
 
-/// Pairs that are rendered, and played there and back again without end: as many as `capture` keeps as frames, so that no
-/// picture is read or copied twice.
+/// Pairs that are rendered, and played forwards and backwards in a loop: as many as `capture` keeps as frames, so that
+/// no image is read or copied twice.
 const PAIRS: u64 = 25;
 /// Bytes of one view that `capture` keeps.
 const KEPT_BYTES: u64 = 256 << 20;
@@ -28,7 +28,7 @@ const NO_NODES: &str = "the graph has no [nodes]";
 /// Type of the source that is rendered beforehand.
 const SOURCE: &str = "phantom";
 
-/// A run and what its threads did.
+/// A run with its timeline.
 pub(super) struct Run {
     pub report: Report,
     pub timeline: Arc<Timeline>,
@@ -64,10 +64,10 @@ pub(super) struct Rendered {
 }
 
 impl Rendered {
-    /// Renders the views of the phantom in the graph at `path`, in another size where `size` gives one.
+    /// Renders the views of the phantom in the graph at `path`, in the size `size`, if given.
     pub fn of(session: &dyn Session, path: &Path, given: &GraphOptions, size: Option<(u32, u32)>) -> Result<Self> {
         let text = run::flattened(path, given)?;
-        let graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
+        let graph: Table = text.parse().with_context(|| format!("{} is not a graph", path.display()))?;
         let (source, mut phantom) = source(&graph)?;
         if let Some((width, height)) = size
             && let Some(params) =
@@ -84,13 +84,13 @@ impl Rendered {
         Ok(Self { folder, graph, source, pairs, count })
     }
 
-    /// The graph on those views, at the times of a camera of so many pictures a second (`pace` on) or as fast as they are taken (off).
+    /// The graph on those views, at the rate of a camera (`pace` on) or as fast as they are accepted (off).
     pub fn text(&self, pace: &str, rate_hz: u32) -> Result<String> {
         played(&self.graph, self.folder.path(), &self.source, &self.pairs.node(pace, rate_hz))
     }
 }
 
-/// Shows where the time of a picture goes, from the end of the source's call to the end of each sink that takes every tick.
+/// Shows the time budget of a frame, from the end of the source's call to the end of each sink that takes every tick.
 fn show_budget(session: &dyn Session, run: &Run, text: &str, path: &Path) -> Result<()> {
     let text = GraphText::parse(path, text);
     let Ok(ready) = graph_file::ready(&text) else { return Ok(()) };
@@ -126,12 +126,12 @@ fn kind(node: &Value) -> &str {
 fn source(graph: &Table) -> Result<(String, Value)> {
     let nodes = graph.get("nodes").and_then(Value::as_table).context(NO_NODES)?;
     let found = nodes.iter().find(|(_, node)| kind(node) == SOURCE);
-    let (name, node) = found
-        .context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
+    let (name, node) =
+        found.context("the graph has no `phantom`: the bench replaces it by a recording of its views")?;
     Ok((name.clone(), node.clone()))
 }
 
-/// Number of pairs for the size of a phantom's pictures.
+/// Number of pairs for the size of a phantom's images.
 fn pairs_of(phantom: &Value) -> u64 {
     let of = |name: &str, default: u64| {
         let value = phantom.get("params").and_then(|params| params.get(name)).and_then(Value::as_integer);
@@ -140,7 +140,7 @@ fn pairs_of(phantom: &Value) -> u64 {
     kept_pairs(of("width", 640), of("height", 480))
 }
 
-/// Number of pairs of a size that are played there and back again from memory.
+/// Number of pairs of a size that are played forwards and backwards from memory.
 pub(super) fn kept_pairs(width: u64, height: u64) -> u64 {
     // There and back again, each picture is kept twice.
     PAIRS.min(KEPT_BYTES / (2 * 3 * width * height).max(1)).max(2)
@@ -170,7 +170,7 @@ fn played(graph: &Table, folder: &Path, name: &str, capture: &str) -> Result<Str
         let path = node.get("params").and_then(|p| p.get("path")).and_then(Value::as_str).unwrap_or("out");
         let file = Path::new(path).file_name().map_or_else(|| id.clone(), |f| f.to_string_lossy().into_owned());
         let place = folder.join(format!("{id}_{file}")).to_string_lossy().into_owned();
-        let node = node.as_table_mut().context("a node is a table")?;
+        let node = node.as_table_mut().context("a node must be a table")?;
         let params = node.entry("params").or_insert_with(|| Value::Table(Table::new()));
         if let Some(params) = params.as_table_mut() {
             params.insert("path".to_owned(), Value::String(place));
@@ -203,17 +203,17 @@ fn show(session: &dyn Session, report: &Report) {
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer frames and rounds: a quick look instead of a measurement.
+    /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
     /// Graph with a `phantom`, whose views are rendered beforehand.
     pub graph: PathBuf,
     /// Its overlays, arguments and settings.
     pub given: GraphOptions,
-    /// Width and height of the views, px; those of the graph's `phantom` otherwise.
+    /// Width and height of the views, px; default: those of the graph's `phantom`.
     pub size: Option<(u32, u32)>,
-    /// Pictures a second of the cameras. Nodes of a highest rate work in a share of the pictures that follows from it.
+    /// Frames per second of the cameras. Nodes with a maximum rate process the corresponding share of the frames.
     pub rate_hz: u32,
-    /// File for what each thread did at the cameras' rate.
+    /// File for the timeline of all threads at the cameras' rate.
     pub trace: Option<PathBuf>,
 }
 
@@ -270,7 +270,8 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     Ok(figures)
 }
 
-/// Pictures a second at the sink with most of them, from picture `first` on: before, each is read from its file, as those of a camera never are.
+/// Frames per second at the sink with most of them, from frame `first` on; earlier frames are read from files, unlike
+/// those of a camera.
 pub(super) fn screen_fps(run: &Run, first: u64) -> f64 {
     let Calls { nodes, calls, .. } = run.timeline.snapshot();
     let rate = |sink: &String| {
@@ -283,7 +284,7 @@ pub(super) fn screen_fps(run: &Run, first: u64) -> f64 {
     run.report.paths.keys().filter_map(rate).fold(f64::NAN, f64::max)
 }
 
-/// The sink that writes what an arm's driver puts out, and nothing else.
+/// The sink that writes only the output of an arm's driver.
 fn behind_the_arm(graph: &mut Table) -> Result<Option<String>> {
     let nodes = nodes(graph)?;
     let is_arm = |input: &Value| {

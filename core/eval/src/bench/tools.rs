@@ -1,7 +1,7 @@
-//! The detector and the segmenter on one 640x480 picture, beside plain ONNX Runtime in Python on the same models.
+//! The detector and the segmenter on one 640x480 image, compared with plain ONNX Runtime in Python on the same models.
 //!
-//! Ours is the node's own time as the engine counts it: fitting, network, decoding, suppression. Python does the same with NumPy and OpenCV in
-//! the same run, turn about, with as many threads.
+//! Ours is the node's own time measured by the engine: fitting, network, decoding, suppression. Python does the same
+//! with NumPy and OpenCV in the same run, alternating, with as many threads.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,17 +18,17 @@ use crate::session::{Session, note};
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer frames and rounds: a quick look instead of a measurement.
+    /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
-    /// Measures plain ONNX Runtime in Python beside it; without a program `python3`.
+    /// Measures plain ONNX Runtime in Python in addition; default program: `python3`.
     pub python: Option<PathBuf>,
-    /// Detector; else the one that ships.
+    /// Detector; default: the shipped one.
     pub model: Option<PathBuf>,
-    /// Segmenter; else the one that ships.
+    /// Segmenter; default: the shipped one.
     pub masks: Option<PathBuf>,
 }
 
-/// The peer: options are node, model, picture, frames, threads.
+/// The peer: options are node, model, image, frames, threads.
 const PEER: &str = include_str!("tools_peer.py");
 const INPUT: &str = "phantom 640x480";
 
@@ -39,7 +39,7 @@ struct Peer {
     found: usize,
 }
 
-/// One picture of the phantom with instruments.
+/// One image of the phantom with instruments.
 fn picture(session: &dyn Session, folder: &Path) -> Result<PathBuf> {
     let file = folder.join("picture.png");
     let text = format!(
@@ -92,7 +92,7 @@ fn peer(python: &Path, node: &str, model: &Path, picture: &Path, threads: usize,
             reason: format!("{}: {reason}; it needs onnxruntime, numpy and opencv-python-headless", python.display()),
         });
     }
-    serde_json::from_slice(&output.stdout).context("the peer answered something else")
+    serde_json::from_slice(&output.stdout).context("the output of the peer is malformed")
 }
 
 /// Measures; with `--quick` fewer frames and rounds.

@@ -1,5 +1,5 @@
-//! `panoscope eval calibrate`: `panoscope calibrate` on real pairs beside OpenCV's own sample, and on the phantom's boards
-//! beside its truth.
+//! `panoscope eval calibrate`: `panoscope calibrate` on real pairs compared with OpenCV's own sample, and on the
+//! phantom's boards compared with ground truth.
 
 use std::path::{Path, PathBuf};
 
@@ -12,14 +12,14 @@ use crate::figures::Figure;
 use crate::session::{Session, note};
 
 const PEER: &str = "OpenCV's sample stereo_calib";
-/// Where the phantom's boards stand, mm: both cameras see all of them.
+/// Distance of the phantom's boards, mm, at which both cameras see all of them.
 const DISTANCE_MM: f64 = 85.0;
 /// Views of each of the phantom's boards.
 const PHANTOM_VIEWS: u64 = 30;
-/// The phantom's truth.
+/// The phantom's true focal length.
 const FOCAL_PX: f64 = 750.0;
 const BASELINE_MM: f64 = 15.0;
-/// Boards of the phantom and what they are as boards.
+/// Boards of the phantom and their descriptions as calibration boards.
 const PHANTOM_BOARDS: [(&str, &str); 3] = [
     ("chessboard", "chessboard:9x6:3mm"),
     ("circles", "circles:4x11:3mm"),
@@ -32,11 +32,11 @@ pub const CASES: [&str; 3] = ["chessboard", "laparoscope", "phantom"];
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The cases that are judged; if empty, all.
+    /// The cases to evaluate; if empty, all.
     pub cases: Vec<String>,
-    /// Folders of data sets, searched before the usual ones.
+    /// Folders of data sets, searched before the default ones.
     pub data: Vec<PathBuf>,
-    /// Folder for the pictures of each case.
+    /// Folder for the images of each case.
     pub pictures: Option<PathBuf>,
 }
 
@@ -60,7 +60,7 @@ fn made(
     Ok(Calibrated { calibration, views: calibrated.views })
 }
 
-/// Errors of the calibration in each wanted case whose data is there.
+/// Errors of the calibration in each requested case whose data is available.
 ///
 /// # Errors
 /// A run fails, a file cannot be read or written, or the session is cancelled.
@@ -102,7 +102,7 @@ fn board(name: &str) -> Result<Board> {
     Ok(name.parse()?)
 }
 
-/// The 13 pairs of OpenCV's documentation: our steps and the sample's, on the same pictures.
+/// The 13 pairs of OpenCV's documentation: our steps and the sample's, on the same images.
 fn chessboard(session: &dyn Session, first: &Path, pictures: Option<&Path>, figures: &mut Vec<Figure>) -> Result<()> {
     let pattern = |side: &str| first.with_file_name(format!("{side}??.jpg")).display().to_string();
     let mut options = calibration::Options::new(&pattern("left"), &pattern("right"), board("chessboard:9x6:25mm")?);

@@ -1,4 +1,4 @@
-//! How good results are, beside truth and peers.
+//! Evaluation of results against ground truth and peers.
 
 pub mod arm;
 pub mod calibrate;

@@ -1,7 +1,8 @@
-//! Where a mosaic puts its frames, beside the truth, with loop closure and without.
+//! Positions of frames in a mosaic compared with ground truth, with and without loop closure.
 //!
-//! One camera of the phantom goes round a ring over a plane and over curved tissue. `end_drift`: where it is back at the start; `lap_drift`: root mean square
-//! over the last lap; `floor`: what the best homography of each frame leaves, 0 for a plane.
+//! One camera of the phantom moves on a ring over a plane and over curved tissue. `end_drift`: when it is back at the
+//! start; `lap_drift`: root mean square over the last lap; `floor`: error of the best homography of each frame, 0 for a
+//! plane.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -15,15 +16,15 @@ use crate::run::{self, Pace, Plan};
 use crate::session::{Session, check_cancelled};
 use crate::statistics::percentile;
 
-/// Scenes: bowel without relief, and tissue as it is.
+/// Scenes: bowel without relief, and unchanged tissue.
 pub const SCENES: [&str; 3] = ["plane", "bowel", "liver"];
-/// What closed loops are compared with.
+/// Peer of closed loops.
 const PEER: &str = "the same without loop closure";
-/// Pictures a second.
+/// Frames per second.
 const RATE_HZ: f64 = 30.0;
 /// Frames at the end of the path over which the closing error is taken.
 const END_FRAMES: usize = 10;
-/// Keyframes held: enough for every path here, so that nothing is dropped while drift is measured.
+/// Maximum number of keyframes, enough for every path here, so that nothing is dropped while drift is measured.
 const KEYFRAMES: u32 = 200;
 /// Height of the phantom's ring, for its length.
 const RISE_MM: f64 = 1.5;
@@ -31,11 +32,11 @@ const RISE_MM: f64 = 1.5;
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The scenes that are judged; if empty, all.
+    /// The scenes to evaluate; if empty, all.
     pub scenes: Vec<String>,
-    /// Maps between keyframes.
+    /// Model of the maps between keyframes.
     pub model: String,
-    /// Laps of the path; drift is taken over the last one.
+    /// Laps of the path; drift is measured over the last one.
     pub laps: u32,
     /// Diameter of the path, mm.
     pub path_mm: f64,
@@ -43,7 +44,7 @@ pub struct Options {
     pub speed_mm_s: f64,
     /// Mean distance of the tissue, mm.
     pub distance_mm: f64,
-    /// Width of the camera's pictures, px.
+    /// Width of the camera's images, px.
     pub width: u32,
     /// Seed of the scenes.
     pub seed: u64,
@@ -112,9 +113,9 @@ inputs = {{ homography = "mosaic.homography", pose = "scope.pose", depth = "scop
     )
 }
 
-/// What one run came to.
+/// Result of one run.
 struct JudgeInputs {
-    /// Per tick.
+    /// Rows, one per tick.
     rows: Table,
     /// The mosaic's own last row.
     own: Table,
@@ -163,14 +164,14 @@ fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -
     };
     let seen = run::run(session, &plan)?;
     let table = |index: usize| -> Result<Table> {
-        let packet = seen.packets[index].as_ref().context("a table stayed empty")?;
-        Table::read(packet.bytes()).context("a table could not be read")
+        let packet = seen.packets[index].as_ref().context("a table is empty")?;
+        Table::read(packet.bytes()).context("a table is malformed")
     };
-    let node = seen.report.nodes.get("mosaic").context("the mosaic is not in the report")?;
+    let node = seen.report.nodes.get("mosaic").context("the report has no entry of the mosaic")?;
     Ok(JudgeInputs { rows: table(0)?, own: table(1)?, p50_ms: node.p50_ms, p99_ms: node.p99_ms, max_ms: node.max_ms })
 }
 
-/// Drift of the mosaic on each scene, with loop closure beside without.
+/// Drift of the mosaic on each scene, with and without loop closure.
 ///
 /// # Errors
 /// An option is out of range, a run fails, a file cannot be written, or the session is cancelled.
@@ -181,7 +182,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         ("--distance-mm", options.distance_mm, 15.0, 150.0),
     ] {
         if !(low..=high).contains(&value) {
-            return Err(EvalError::Options { reason: format!("{name} is {value}; give {low} to {high}") });
+            return Err(EvalError::Options { reason: format!("{name} is {value}; it must be {low} to {high}") });
         }
     }
     if let Some(folder) = &options.pictures {

@@ -1,4 +1,4 @@
-//! False and missed warnings near tissue and other tips, beside the phantom's exact distances.
+//! False and missed warnings near tissue and other tips, compared with the phantom's exact distances.
 
 use std::path::Path;
 
@@ -10,20 +10,21 @@ use crate::session::{Session, check_cancelled};
 
 /// Sources of the positions of tips, tissue and instruments.
 ///
-/// `exact`: exact tips, depth and masks, so that only what instruments hide is guessed. `matched`: depth from block matching instead. `found`: tips
-/// found in masks too. `boxes`: the same with boxes instead of masks, as a detector gives them.
+/// `exact`: exact tips, depth and masks, so that only tissue hidden by instruments is estimated. `matched`: depth from
+/// block matching instead. `found`: tips found in masks too. `boxes`: the same with boxes instead of masks, as from a
+/// detector.
 pub const CHAINS: [&str; 4] = ["exact", "matched", "found", "boxes"];
 
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Only these ways to know depth and instruments; may be given again. Without it all.
+    /// Sources of depth and instruments; if empty, all.
     pub chains: Vec<String>,
-    /// The scenes that are judged; if empty, all.
+    /// The scenes to evaluate; if empty, all.
     pub scenes: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
-    /// Width of the phantom's pictures, px.
+    /// Width of the phantom's images, px.
     pub width: u32,
     /// Mean distance of the tissue, mm: the nearer, the closer to it the instruments work.
     pub distance_mm: f64,
@@ -114,8 +115,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
                 pace: Pace::Free,
             };
             let seen = run::run(session, &plan)?;
-            let packet = seen.packets[0].as_ref().context("the judge saw nothing")?;
-            let table = Table::read(packet.bytes()).context("the judge's table could not be read")?;
+            let packet = seen.packets[0].as_ref().context("the evaluating node received no packets")?;
+            let table = Table::read(packet.bytes()).context("the table of the evaluating node is malformed")?;
             listed(&table, &format!("{chain}/{scene}"), options, &mut figures)?;
         }
     }

@@ -1,5 +1,6 @@
-//! What a graph's screen shows: how much of it is the main picture, how much is empty, how much of the known surface is cut off, and whether the colours of
-//! depth cover the depths. On rendered scenes also whether the panorama shows instruments as one of its views does.
+//! Evaluates a graph's screen: share of the main image, empty share, share of the known surface that is cut off, and
+//! whether the colours of depth cover the depths. On rendered scenes also whether the panorama shows instruments as in
+//! one of its views.
 
 mod instruments;
 
@@ -28,13 +29,13 @@ pub struct Options {
     pub graph: PathBuf,
     /// Overlays, arguments and settings.
     pub given: GraphOptions,
-    /// Ticks.
+    /// Number of ticks.
     pub frames: u64,
     /// Folder for the screen of each tick.
     pub pictures: Option<PathBuf>,
 }
 
-/// Metrics that count, by the type of the node: name, and whether less is better.
+/// Evaluated metrics, by the type of the node: name, and whether less is better.
 const METRICS: [(&str, &str, bool); 6] = [
     ("screen", "main_pct", false),
     ("screen", "dead_pct", true),
@@ -43,7 +44,8 @@ const METRICS: [(&str, &str, bool); 6] = [
     ("composite", "view_gain_pct", false),
     ("composite_mesh", "view_gain_pct", false),
 ];
-/// Share of the main picture of all that a screen shows, dead area, cut surface and depths beyond the colours, %: beyond it a tick counts as faulty.
+/// Limits of the metrics, %, beyond which a tick counts as faulty: share of the main image, dead area, cut surface,
+/// depths beyond the colours.
 const LIMITS: [(&str, f64); 6] = [
     ("main_pct", 60.0),
     ("dead_pct", 8.0),
@@ -52,10 +54,10 @@ const LIMITS: [(&str, f64); 6] = [
     ("instrument_px", MAX_DEVIATION_PX),
     ("instrument_jump_px", MAX_DEVIATION_PX),
 ];
-/// Brightness up to which a pixel of the screen shows nothing: that of its ground.
+/// Maximum brightness of an empty pixel of the screen.
 const UNLIT: u8 = 24;
 
-/// Largest deviation of an instrument in the panorama from the view that shows it, and largest change of its position between two ticks, px.
+/// Maximum deviation of an instrument in the panorama from the view that shows it, px.
 const MAX_DEVIATION_PX: f64 = 1.0;
 
 /// Values of a metric over the ticks.
@@ -66,7 +68,7 @@ fn hear(heard: &Heard, name: &str, value: f64) {
     all.entry(name.to_owned()).or_default().push(value);
 }
 
-/// Share of the pixels that show nothing, %, and the picture.
+/// Share of empty pixels, %, and the image.
 fn seen(frame: &FrameRef) -> Option<(f64, RgbImage)> {
     let mut pixels = packets::bytes(frame, 3)?;
     let all = pixels.as_chunks_mut::<3>().0;
@@ -76,10 +78,10 @@ fn seen(frame: &FrameRef) -> Option<(f64, RgbImage)> {
     Some((share, RgbImage::from_raw(frame.frame().width, frame.frame().height, pixels)?))
 }
 
-/// Runs the graph up to its screens and judges each tick.
+/// Runs the graph up to its screens and evaluates each tick.
 ///
 /// # Errors
-/// The graph has mistakes or no screen, the run fails, a picture cannot be written, or the session is cancelled.
+/// The graph has mistakes or no screen, the run fails, an image cannot be written, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let ready =
         graph_file::open(&options.graph, &options.given).map_err(|diagnostics| EvalError::Check { diagnostics })?;
@@ -147,7 +149,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     Ok(heard.iter().flat_map(|(name, values)| figures(name, values, &options.graph)).collect())
 }
 
-/// Listeners that compare the instruments of each panorama with those of its two views, where the views are rendered.
+/// Listeners that compare the instruments of each panorama with those of its two views, if the views are rendered.
 fn listen_to_instruments(nodes: &Table, heard: &Heard) -> Vec<Listener> {
     if !nodes.values().any(|node| node.get("type").and_then(Value::as_str) == Some("phantom")) {
         return Vec::new();
@@ -180,7 +182,7 @@ struct InstrumentWatch {
     heard: Heard,
     /// Panorama, left and right view of ticks that are not complete.
     waiting: BTreeMap<u64, [Option<instruments::Image>; 3]>,
-    /// Position of the largest instrument in the tick before.
+    /// Position of the largest instrument in the previous tick.
     before: Option<(usize, [f64; 2])>,
 }
 
@@ -208,7 +210,7 @@ impl InstrumentWatch {
     }
 }
 
-/// Median and worst value of a metric, and how many ticks miss its limit.
+/// Median and worst value of a metric, and the number of ticks beyond its limit.
 fn figures(name: &str, values: &[f64], graph: &Path) -> Vec<Figure> {
     let metric = name.split('/').next().unwrap_or(name);
     let more_is_better = METRICS.iter().any(|(_, known, less)| *known == metric && !less);

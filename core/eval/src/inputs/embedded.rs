@@ -1,4 +1,5 @@
-//! Shipped graphs that the program holds, with their parts: they are measured whatever the working folder has.
+//! Shipped graphs that the program contains, with their parts, so that measurements do not depend on the working
+//! folder.
 
 use std::path::Path;
 
@@ -20,7 +21,7 @@ const FILES: [(&str, &str); 9] = shipped![
     "parts/panorama_grid.toml"
 ];
 
-/// A graph by its path in the folder of graphs; `None` if the program does not hold it.
+/// A graph by its path in the folder of graphs; `None` if the program does not contain it.
 pub fn graph(file: &str) -> Option<GraphText> {
     // No file is read from this folder.
     let folder = std::path::absolute(Path::new("embedded-graphs")).ok()?;

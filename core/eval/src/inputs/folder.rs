@@ -1,4 +1,4 @@
-//! A folder for what a measurement plays or writes.
+//! A folder for files that a measurement reads or writes.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use crate::error::{FileAction, OnFile, Result};
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Creates `NAME-PROCESS` in the system's folder for temporary files.
+    /// Creates `NAME-PROCESS` in the system's temporary folder.
     ///
     /// # Errors
     /// The folder cannot be created.
@@ -19,7 +19,7 @@ impl Folder {
         Ok(Self(path))
     }
 
-    /// Where it is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }

@@ -1,8 +1,8 @@
-//! The calibration of two views whose rows already agree.
+//! The calibration of two views whose rows are already aligned.
 
 use panoscope_abi::{Calibration, Camera};
 
-/// Any camera will do: neither disparities nor the homography that a disparity grid finds depend on the focal length.
+/// A calibration of any camera: neither disparities nor the homography of a disparity grid depend on the focal length.
 pub fn calibration((width, height): (u32, u32)) -> Calibration {
     const EYE: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let (focal, baseline_mm) = (f64::from(width), 5.0);

@@ -1,4 +1,4 @@
-//! Inputs that evaluations and benches share: data folders, models that ship, rendered pairs, graphs.
+//! Inputs of evaluations and benches: data folders, shipped models, rendered pairs, graphs.
 
 pub mod embedded;
 mod folder;
@@ -12,15 +12,16 @@ use std::path::{Path, PathBuf};
 
 pub use folder::Folder;
 
-/// Where the models that ship stand, seen from the repository and from an installed folder.
+/// Folders of the shipped models, relative to the repository and to an installed folder.
 const MODELS: &str = "plugins/tools/models";
 
-/// The first of the folders that holds `name`, joined with it.
+/// Path of `name` in the first folder that has it.
 pub fn find(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
     folders.iter().map(|folder| folder.join(name)).find(|path| path.exists())
 }
 
-/// A file that ships, by its path in the repository: in the current folder, else beside the program or up to three folders above it.
+/// A shipped file by its path in the repository: in the current folder, next to the program or up to three folders
+/// above it.
 pub fn shipped_file(path: &Path) -> Option<PathBuf> {
     let program = std::env::current_exe().ok();
     let folders = program.iter().flat_map(|p| p.ancestors().skip(1).take(4)).map(Path::to_owned);
@@ -28,12 +29,12 @@ pub fn shipped_file(path: &Path) -> Option<PathBuf> {
     all.find_map(|folder| Some(folder.join(path)).filter(|file| file.is_file()))
 }
 
-/// A model that ships, by its file name.
+/// A shipped model by its file name.
 pub fn shipped_model(name: &str) -> Option<PathBuf> {
     shipped_file(&Path::new(MODELS).join(name))
 }
 
-/// An absolute path in quotes, as graph text wants it.
+/// An absolute path in quotes, for graph text.
 pub fn quoted(path: &Path) -> String {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     toml::Value::String(path.to_string_lossy().into_owned()).to_string()

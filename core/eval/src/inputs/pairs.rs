@@ -1,5 +1,5 @@
-//! Pairs of the phantom, rendered once and played round and round, so that no rendering is in what is timed. The files are not compressed:
-//! the first round is no slower for decoding.
+//! Pairs of the phantom, rendered once and played in a loop, so that timing includes no rendering. The files are
+//! uncompressed, so that decoding does not slow down the first pass.
 
 use std::path::{Path, PathBuf};
 
@@ -11,14 +11,14 @@ use crate::packets;
 use crate::run::{self, Pace, Plan};
 use crate::session::Session;
 
-/// Pictures and calibration of one rendered scene, in a folder of their own.
+/// Images and calibration of one rendered scene, in a separate folder.
 pub struct Pairs {
     folder: PathBuf,
 }
 
 impl Pairs {
-    /// Renders `count` pairs with a node `phantom` as a graph has it. Its inputs are removed: without a loop through the arm the
-    /// cameras follow their script.
+    /// Renders `count` pairs with the node `phantom` of a graph. Its inputs are removed, so that the cameras follow
+    /// their script instead of the arm.
     pub fn render(session: &dyn Session, place: &Folder, name: &str, phantom: &Value, count: u64) -> Result<Self> {
         let folder = place.path().join(name);
         std::fs::create_dir_all(&folder).on_file(FileAction::Create, &folder)?;
@@ -48,14 +48,14 @@ impl Pairs {
                 pace: Pace::Free,
             },
         )?;
-        let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
-        let calibration = packets::calibration(packet.bytes()).context("the phantom's calibration is cut off")?;
+        let packet = seen.packets.into_iter().next().flatten().context("the phantom returned no calibration")?;
+        let calibration = packets::calibration(packet.bytes()).context("the phantom's calibration is truncated")?;
         panoscope_data::calibration::write(&folder.join("calibration.yaml"), &calibration)?;
         Ok(Self { folder })
     }
 
-    /// Appends the pairs between the last and the first one, backwards, so that playing them round and round never jumps: a tracker that loses
-    /// its instrument at a jump would be what is measured. `count` pairs have been rendered.
+    /// Appends the pairs between the last and the first one in reverse order, so that a loop has no jump, at which a
+    /// tracker would lose its instrument. `count` is the number of rendered pairs.
     pub fn and_back(self, count: u64) -> Result<Self> {
         for (step, from) in (1..count.saturating_sub(1)).rev().enumerate() {
             for side in ["left", "right"] {
@@ -70,14 +70,14 @@ impl Pairs {
         Ok(self)
     }
 
-    /// As [`Pairs::render`], with the phantom's parameters as TOML writes them within braces.
+    /// As [`Pairs::render`], with the phantom's parameters as the content of a TOML inline table.
     pub fn of(session: &dyn Session, place: &Folder, name: &str, params: &str, count: u64) -> Result<Self> {
         let node: Table = format!("type = \"phantom\"\nparams = {{ {params} }}").parse()?;
         Self::render(session, place, name, &Value::Table(node), count)
     }
 
-    /// Type and parameters of a node that plays them at the times of a camera of so many pictures a second (`pace` on), or as fast as they are
-    /// taken (off).
+    /// Type and parameters of a node that plays them as a camera with `rate_hz` does (`pace` on), or as fast as they
+    /// are processed (off).
     pub fn node(&self, pace: &str, rate_hz: u32) -> String {
         format!(
             "type = \"capture\"\nparams = {{ left = {:?}, right = {:?}, calibration = {:?}, loop = true, rate_hz = {rate_hz}.0, pace = {pace:?} }}\n",
@@ -87,7 +87,7 @@ impl Pairs {
         )
     }
 
-    /// The first left picture.
+    /// Path of the first left image.
     pub fn first(&self) -> PathBuf {
         self.folder.join("left_0000.ppm")
     }

@@ -1,4 +1,4 @@
-//! Which nodes of a graph, as a table of TOML, read which outputs.
+//! References between nodes of a graph as a TOML table.
 
 use std::collections::BTreeSet;
 
@@ -18,7 +18,7 @@ pub fn node_of(reference: &str) -> &str {
     reference.split_once('.').map_or(reference, |(node, _)| node)
 }
 
-/// Everything that a node reads.
+/// All outputs that a node reads.
 pub fn references(node: &Value) -> Vec<String> {
     let inputs = node.get("inputs").and_then(Value::as_table);
     let mut all = Vec::new();
@@ -31,7 +31,7 @@ pub fn references(node: &Value) -> Vec<String> {
     all
 }
 
-/// Names of the nodes that these outputs come from, up to the node `stop`, exclusive.
+/// Names of all nodes upstream of these outputs, up to the node `stop`, exclusive.
 pub fn upstream(nodes: &Table, outputs: &[&str], stop: Option<&str>) -> BTreeSet<String> {
     let mut all = BTreeSet::new();
     let mut next: Vec<String> = outputs.iter().map(|output| node_of(output).to_owned()).collect();

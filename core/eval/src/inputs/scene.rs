@@ -1,11 +1,11 @@
-//! The rendered pair on which depth is judged and timed: text of its source and its rectification, said once.
+//! The rendered pair for evaluations and timings of depth: text of its source and rectification.
 
-/// Head of a graph: nodes `scope`, a phantom with `params`, and `rectify`. More plugins than those two nodes need may be named.
+/// First part of a graph: nodes `scope`, a phantom with `params`, and `rectify`. `plugins` are those of further nodes.
 pub fn rectified_phantom(mode: &str, plugins: &[&str], params: &str) -> String {
     rectified(mode, plugins, &format!("type = \"phantom\"\nparams = {{ {params} }}\n"))
 }
 
-/// The same with any source of pairs and their calibration in place of the phantom.
+/// As [`rectified_phantom`], with another source of pairs and their calibration.
 pub fn rectified(mode: &str, plugins: &[&str], source: &str) -> String {
     let plugins: String = plugins.iter().map(|name| format!(", \"{name}\"")).collect();
     format!(

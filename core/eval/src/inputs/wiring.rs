@@ -1,4 +1,5 @@
-//! A graph made fit for judging: no files written, every frame processed, an `evaluate_stitch` behind each composite.
+//! A graph prepared for evaluation: it writes no files, processes every frame, and has an `evaluate_stitch` after each
+//! composite.
 
 use std::collections::BTreeSet;
 
@@ -7,61 +8,61 @@ use crate::inputs::references::{from, node_of, references, upstream};
 use panoscope_graph::{Catalog, GraphText};
 use toml::{Table, Value};
 
-/// A composite of the graph and what feeds it.
+/// A composite of the graph and its inputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Composite {
-    /// Its name in the graph.
+    /// Name in the graph.
     pub id: String,
-    /// Where its views come from: `node.port`, the one in whose plane the panorama lies first.
+    /// Outputs `node.port` of its views; the first is the reference, in whose plane the panorama lies.
     pub views: Vec<String>,
-    /// Where the homographies of the further views come from.
+    /// Outputs of the homographies of the further views.
     pub homographies: Vec<String>,
 }
 
 impl Composite {
-    /// Further views: each has a judge of its own.
+    /// Number of further views; each has its own evaluating node.
     pub fn pairs(&self) -> usize {
         self.homographies.len()
     }
 
-    /// What tables and figures call it: its name in the graph file, which is that of a part where it stands in one.
+    /// Name in tables and figures: its name in the graph file, or that of the part it belongs to.
     pub fn name(&self) -> &str {
         self.id.split('/').next().unwrap_or(&self.id)
     }
 
-    /// Name of the judge of further view `pair`, counted from 0.
+    /// Name of the evaluating node of further view `pair`, from 0.
     pub fn judge(&self, pair: usize) -> String {
         let id = self.id.replace('/', "_");
         if self.pairs() == 1 { format!("judge_{id}") } else { format!("judge_{id}_{}", pair + 1) }
     }
 }
 
-/// Which inputs a judge gets.
+/// Inputs of the evaluating nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JudgeInputs {
-    /// All that there are.
+    /// All available inputs.
     Pictures,
-    /// What registration is judged by: comparing pictures takes longer than stitching.
+    /// Only those for registration, because comparing images takes longer than stitching.
     Registration,
-    /// Registration, and the area that the panorama covers.
+    /// Those for registration, and the area that the panorama covers.
     Area,
 }
 
-/// A graph with the nodes of its parts, taken apart.
+/// A parsed graph with the nodes of its parts.
 #[derive(Clone, Debug)]
 pub struct Wiring {
-    /// As read: knows which parameters those of parts stand for.
+    /// The text as read; it maps parameters of parts to those of their nodes.
     source: GraphText,
     graph: Table,
-    /// Its name.
+    /// Name of the graph.
     pub name: String,
     /// All composites.
     pub composites: Vec<Composite>,
 }
 
-/// Node that places a view by a mesh.
+/// Node type that maps a view by a mesh.
 const MESH: &str = "composite_mesh";
-/// Nodes whose panoramas are judged.
+/// Node types whose panoramas are evaluated.
 const COMPOSITES: [&str; 3] = ["composite", MESH, "composite_opencv"];
 
 /// Splits `NODE.PARAM=VALUE`; a value that is not TOML is taken as text.
@@ -72,7 +73,7 @@ pub fn setting(text: &str) -> Option<(&str, &str, Value)> {
     Some((node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into())))
 }
 
-/// Number of the phantom's camera whose picture an output is: 1 to 3, row by row behind the first.
+/// Number of the phantom's camera that an output shows, 1 to 3; `None` for other outputs.
 fn camera_of(reference: &str) -> Option<u8> {
     match reference.split_once('.')?.1 {
         "right" | "view1" => Some(1),
@@ -88,10 +89,10 @@ fn is_type(node: &Value, wanted: &str) -> bool {
 }
 
 impl Wiring {
-    /// Takes a graph apart, its settings applied. The catalog says which of its values are paths.
+    /// Parses a graph with its settings applied. The catalog tells which values are paths.
     ///
     /// # Errors
-    /// When the text is not TOML or holds no composite of two views.
+    /// The text is not TOML or has no composite of two views.
     pub fn of(source: &GraphText, catalog: &Catalog) -> Result<Self> {
         let mut graph: Table = source.flattened(catalog).parse()?;
         let name = source.name().to_owned();
@@ -125,7 +126,7 @@ impl Wiring {
         }
         if composites.is_empty() {
             bail!(
-                "the graph has no composite with `left`, `right` and `homography`, or `views` and `homographies`: there is nothing to judge"
+                "the graph has no composite with `left`, `right` and `homography`, or `views` and `homographies`: there is nothing to evaluate"
             );
         }
         let mut wiring = Self { source: source.clone(), graph, name, composites };
@@ -157,7 +158,7 @@ impl Wiring {
         self.graph.get("nodes")?.get(id)
     }
 
-    /// Where a view comes from: of a rectified view, where the view before comes from.
+    /// Output that a view comes from; for a rectified view that of the unrectified one.
     fn origin(&self, view: &str) -> String {
         let mut at = view.to_owned();
         // A graph may be wired in a circle.
@@ -172,18 +173,18 @@ impl Wiring {
         at
     }
 
-    /// Name of the phantom that the first composite's first view comes from, if it does.
+    /// Name of the phantom that the first composite's first view comes from; `None` for other sources.
     pub fn phantom(&self) -> Option<String> {
         let origin = self.origin(self.composites.first()?.views.first()?);
         let id = node_of(&origin);
         is_type(self.node(id)?, "phantom").then(|| id.to_owned())
     }
 
-    /// The same graph with other views: the node that gives the first composite its views is replaced by `source`, whose type has the
-    /// outputs `ports`; `more` nodes feed it.
+    /// The same graph with other views: `source`, whose type has the outputs `ports`, replaces the source of the first
+    /// composite's views; the nodes `more` feed it.
     ///
     /// # Errors
-    /// When the graph reads something of its source that the new one does not have.
+    /// The graph reads an output of its source that the new one does not have.
     pub fn with_source(&self, source: Table, ports: &[&str], more: &[(&str, Table)], plugins: &[&str]) -> Result<Self> {
         let mut out = self.clone();
         let id = self.source();
@@ -191,7 +192,7 @@ impl Wiring {
         for (name, node) in nodes.iter().filter(|(name, _)| **name != id) {
             for (node_id, port) in references(node).iter().filter_map(|r| r.split_once('.')) {
                 if node_id == id && !ports.contains(&port) {
-                    bail!("`{name}` reads `{id}.{port}`, which these pictures do not have");
+                    bail!("`{name}` reads `{id}.{port}`, which this source does not have");
                 }
             }
         }
@@ -212,7 +213,7 @@ impl Wiring {
         }
     }
 
-    /// Loads this plugin too.
+    /// Adds a plugin to the list of plugins.
     pub fn plugin(&mut self, name: &str) {
         let list = self.graph.entry("plugins").or_insert_with(|| Value::Array(Vec::new()));
         if let Some(list) = list.as_array_mut()
@@ -248,7 +249,7 @@ impl Wiring {
         node_of(&self.origin(&self.composites[0].views[0])).to_owned()
     }
 
-    /// The nodes that find the first composite's first homography from what its source gives, by name.
+    /// The nodes between the source and the first composite's first homography, by name.
     pub fn registration(&self) -> Vec<(String, Table)> {
         let ids = self.upstream(&[&self.composites[0].homographies[0]], Some(&self.source()));
         ids.into_iter().filter_map(|id| Some((id.clone(), self.node(&id)?.as_table()?.clone()))).collect()
@@ -259,8 +260,8 @@ impl Wiring {
         self.node(node).is_some()
     }
 
-    /// The same source with OpenCV's registration and composite in place of all that stitches; without a composite for
-    /// [`JudgeInputs::Registration`]. None where there are more than two views, which OpenCV's node does not take.
+    /// The same source with OpenCV's registration and composite instead of the graph's; without a composite for
+    /// [`JudgeInputs::Registration`]. `None` for more than two views, which OpenCV's node does not support.
     pub fn peer(&self, judged: JudgeInputs, seam_megapixels: f64, threads: i64) -> Option<Self> {
         let mut out = self.clone();
         let [left, right] = &self.composites[0].views[..] else { return None };
@@ -289,7 +290,8 @@ impl Wiring {
         Some(out)
     }
 
-    /// What the judge of a pair of views of a composite reads, by its input, and its parameters: the composite, and what truth the source has.
+    /// Inputs and parameters of the evaluating node of a pair of views: the composite's outputs, and the ground truth
+    /// of the source.
     fn judge_inputs(
         &self,
         composite: &Composite,
@@ -343,7 +345,7 @@ impl Wiring {
         (inputs, params)
     }
 
-    /// Puts an `evaluate_stitch` behind each pair of views of each composite, wired to what truth the source has.
+    /// Puts an `evaluate_stitch` for each pair of views of each composite, connected to the ground truth of the source.
     pub fn judged(&self, judged: JudgeInputs) -> Self {
         let mut out = self.clone();
         out.plugin("stitch");
@@ -356,8 +358,8 @@ impl Wiring {
         out
     }
 
-    /// The pictures alone, without what stitches them, and where the views and the truth of the first composite's first pair come from: inputs of a
-    /// judge and `node.port`. `None` where there are more than two views.
+    /// The graph without stitching, and the outputs of the views and ground truth of the first composite's first pair:
+    /// inputs of an evaluating node and `node.port`. `None` for more than two views.
     pub fn pictures(&self) -> Option<(Self, Vec<(&'static str, String)>)> {
         let composite = self.composites.first().filter(|composite| composite.pairs() == 1)?;
         let (mut inputs, _) = self.judge_inputs(composite, 0, JudgeInputs::Pictures);
@@ -370,7 +372,7 @@ impl Wiring {
         Some((out, inputs))
     }
 
-    /// As graph text.
+    /// The graph as text.
     pub fn text(&self) -> String {
         self.graph.to_string()
     }

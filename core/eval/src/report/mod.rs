@@ -1,4 +1,4 @@
-//! Runs of studies compared: what was varied, what was measured, which run is best.
+//! Comparison of runs of studies: varied parameters, measures, best runs.
 
 mod page;
 
@@ -11,11 +11,11 @@ pub use crate::sweep::Statistic;
 
 pub use page::page;
 
-/// Parts of the names of measures of which more is better.
+/// Parts of the names of measures for which larger is better.
 pub const LARGER_IS_BETTER: [&str; 9] =
     ["ap50", "precision", "recall", "coverage", "inliers", "density", "confidence", "fps", "_hz"];
 
-/// Whether more of a measure is better, by its name.
+/// Whether larger values of a measure are better, by its name.
 pub fn is_larger_better(measure: &str) -> bool {
     LARGER_IS_BETTER.iter().any(|part| measure.contains(part))
 }
@@ -27,14 +27,14 @@ pub struct Options {
     pub folders: Vec<PathBuf>,
     /// Statistic that is compared.
     pub statistic: Statistic,
-    /// Measures of which more is better, besides those whose names hold one of [`LARGER_IS_BETTER`].
+    /// Measures for which larger is better, besides those whose names contain one of [`LARGER_IS_BETTER`].
     pub larger: Vec<String>,
-    /// Measures of which less is better, whatever their names.
+    /// Measures for which smaller is better, whatever their names.
     pub smaller: Vec<String>,
 }
 
 impl Options {
-    /// Whether more of a measure is better.
+    /// Whether larger values of a measure are better.
     pub fn is_larger_better(&self, measure: &str) -> bool {
         let is_named = |list: &[String]| list.iter().any(|name| name == measure);
         is_named(&self.larger) || (is_larger_better(measure) && !is_named(&self.smaller))
@@ -44,25 +44,25 @@ impl Options {
 /// A run and its folder.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// The folder as it was given, with the folder of the run.
+    /// Path of the run's folder, relative as given.
     pub folder: PathBuf,
-    /// Its results.
+    /// Results of the run.
     pub file: RunFile,
 }
 
 /// Runs to compare.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// In the order of their folders and numbers.
+    /// Runs in the order of their folders and numbers.
     pub runs: Vec<Run>,
-    /// Names of what was varied in any of them.
+    /// Names of all varied parameters.
     pub params: Vec<String>,
-    /// Names of what was measured in any of them.
+    /// Names of all measures.
     pub measures: Vec<String>,
 }
 
 impl Comparison {
-    /// The run with the best value of a measure; `None` where nothing is known.
+    /// The run with the best value of a measure; `None` if no run has a value.
     pub fn best(&self, measure: &str, options: &Options) -> Option<usize> {
         let sign = if options.is_larger_better(measure) { -1.0 } else { 1.0 };
         let values = self.runs.iter().enumerate().filter_map(|(index, run)| {
@@ -91,7 +91,7 @@ fn runs_in(folder: &Path) -> Result<Vec<PathBuf>> {
 /// Reads the runs of all folders.
 ///
 /// # Errors
-/// A folder holds no run, or a file cannot be read.
+/// A folder has no run, or a file cannot be read.
 pub fn compare(options: &Options) -> Result<Comparison> {
     let mut runs = Vec::new();
     for folder in &options.folders {

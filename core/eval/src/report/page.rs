@@ -1,4 +1,4 @@
-//! The comparison as one page: tables and plots, no other file, no script, nothing from a network.
+//! The comparison as one self-contained HTML page: tables and plots, without scripts, other files or network.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use crate::sweep::RunParam;
 
 /// Size of a plot, px.
 const PLOT: (f64, f64) = (480.0, 240.0);
-/// Maximum number of digits behind the point.
+/// Maximum number of decimals.
 const PLACES: usize = 4;
 
 fn number(value: f64) -> String {
@@ -131,7 +131,7 @@ fn plots(out: &mut String, comparison: &Comparison, options: &Options) {
     }
 }
 
-/// Where the numbers come from: graph, machine, versions. Runs that share all of it are one row.
+/// Writes a table of graph, machine and versions. Runs that share all of them are one row.
 fn origins(out: &mut String, comparison: &Comparison) {
     out.push_str("<h2>Origin</h2>\n<div class=\"wide\"><table><thead><tr>");
     for head in ["runs", "graph", "input", "machine", "Panoscope", "plugins", "settings"] {
@@ -170,7 +170,7 @@ fn origins(out: &mut String, comparison: &Comparison) {
     out.push_str("</tbody></table></div>\n<p>Runs are counted in the order of the first table. Plugins and models carry the first digits of their XXH3 hashes.</p>\n");
 }
 
-/// `1-4, 7` of ascending numbers.
+/// Ascending numbers as ranges, such as `1-4, 7`.
 fn spans(numbers: &[usize]) -> String {
     let mut parts: Vec<(usize, usize)> = Vec::new();
     for number in numbers {

@@ -108,7 +108,7 @@ fn folders_without_runs_and_unknown_measures_are_named() {
     fs::create_dir_all(folder.join("run_0001")).expect("a folder");
     fs::write(folder.join("run_0001").join(RESULTS), "{}").expect("written");
     let error = compare(&options(folder.clone())).expect_err("no results").to_string();
-    assert!(error.contains("holds no results of a run"), "{error}");
+    assert!(error.contains("has no results of a run"), "{error}");
     fs::remove_dir_all(&folder).expect("removed");
     let folder = study("larger", &[file(1, &[("a.b", "1", 1.0, false)], &[("c.d", Some(1.0))])]);
     let error = compare(&Options { larger: vec!["c.e".into()], ..options(folder.clone()) }).expect_err("no c.e");

@@ -1,4 +1,4 @@
-//! What disturbs a graph while it is soaked: parameters that move, sinks that leave and come back, processes that are killed.
+//! Disturbances of a soak test: changed parameters, removed and restored sinks, killed processes.
 
 use std::ops::Deref;
 use std::time::Instant;
@@ -10,24 +10,24 @@ use panoscope_host::loader::Live;
 
 use crate::system;
 
-/// How often a soaked graph is disturbed; without a time, never.
+/// Intervals of the disturbances; `None`: never.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Disturbances {
-    /// Seconds from one live edit to the next: in turn a parameter moves by up to a tenth of its range, everything becomes as it was, a
-    /// sink leaves, the sink comes back.
+    /// Seconds between live edits. In turn, a parameter changes by up to a tenth of its range, the original graph is
+    /// restored, a sink is removed, and the sink is restored.
     pub edit_every_s: Option<f64>,
-    /// Seconds from one SIGKILL to the next, each of the process of another group of isolated nodes.
+    /// Seconds between SIGKILLs, each of the process of another group of isolated nodes.
     pub kill_every_s: Option<f64>,
 }
 
-/// What was done so far.
+/// Disturbances so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Done {
-    /// Live edits that the engine made.
+    /// Live edits that the engine applied.
     pub edits: u64,
-    /// Live edits that it refused; the old graph ran on.
+    /// Live edits that it refused; the old graph continued.
     pub refused: u64,
-    /// Processes killed.
+    /// Killed processes.
     pub kills: u64,
 }
 
@@ -40,7 +40,7 @@ struct Slider {
     max: f64,
 }
 
-/// Disturbs a running graph. Which parameter and which sink is next follows from a fixed seed.
+/// Disturbs a running graph. A fixed seed chooses the parameters and sinks.
 pub struct Disturber {
     settings: Disturbances,
     began: Instant,
@@ -55,7 +55,7 @@ pub struct Disturber {
 }
 
 impl Disturber {
-    /// For a graph that runs from `text` and was checked against `catalog`.
+    /// Creates it for a running graph with this text, checked against `catalog`.
     pub fn new(settings: Disturbances, text: &str, graph: &Graph, catalog: &Catalog) -> Self {
         Self {
             settings,
@@ -70,12 +70,12 @@ impl Disturber {
         }
     }
 
-    /// What was done so far.
+    /// Disturbances so far.
     pub fn done(&self) -> Done {
         self.done
     }
 
-    /// Does what is due. Returns why an edit was refused.
+    /// Makes the disturbances that are due. An error is the reason for a refused edit.
     pub fn disturb<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Option<String> {
         let seconds = self.began.elapsed().as_secs_f64();
         let is_due =
@@ -105,7 +105,7 @@ impl Disturber {
         }
     }
 
-    /// Moves a parameter by up to a tenth of its range, as a slider does. Returns whether there was one.
+    /// Changes a parameter by up to a tenth of its range. Returns whether there was one.
     fn move_param(&mut self, engine: &Engine) -> Result<bool, String> {
         let Some(Slider { node, param, index, min, max }) = self.sliders.get(self.random.below(self.sliders.len()))
         else {
@@ -148,13 +148,13 @@ fn sliders(graph: &Graph, catalog: &Catalog) -> Vec<Slider> {
     graph.nodes.iter().flat_map(of_node).collect()
 }
 
-/// The nodes whose outputs nobody takes.
+/// The nodes whose outputs no node reads.
 fn sinks(graph: &Graph) -> Vec<String> {
     let takes_nothing = |&(index, _): &(usize, &Node)| graph.edges.iter().all(|edge| edge.from_node != index);
     graph.nodes.iter().enumerate().filter(takes_nothing).map(|(_, node)| node.id.clone()).collect()
 }
 
-/// Kills the process of one group of isolated nodes, of each in turn. Returns whether one ran.
+/// Kills the process of one group of isolated nodes, of each group in turn. Returns whether a process was running.
 fn kill_one(engine: &Engine, turn: u64) -> bool {
     let running: Vec<u32> = engine.report().groups.values().filter_map(|group| group.process_id).collect();
     let Some(id) = (turn as usize).checked_rem(running.len()).map(|index| running[index]) else { return false };

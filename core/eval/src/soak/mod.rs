@@ -1,4 +1,4 @@
-//! Memory, threads and files of a running graph over minutes, and whether they grow.
+//! Soak test: growth of memory, threads and open files of a running graph over minutes.
 
 mod disturb;
 
@@ -14,13 +14,13 @@ pub use disturb::{Disturbances, Disturber, Done};
 /// State of the process at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
-    /// Since the first sample.
+    /// Seconds since the first sample.
     pub seconds: f64,
-    /// Resident memory of the process.
+    /// Resident memory of the process, MB.
     pub rss_mb: f64,
     /// Frames so far.
     pub frames: u64,
-    /// Frame memory handed out.
+    /// Frame memory in use, MB.
     pub pool_mb: f64,
     /// Frames dropped so far.
     pub dropped: u64,
@@ -30,7 +30,7 @@ pub struct Sample {
     pub threads: usize,
     /// Open files of the process.
     pub open_files: usize,
-    /// Resident memory of the processes of isolated nodes.
+    /// Resident memory of the processes of isolated nodes, MB.
     pub isolated_mb: f64,
     /// Processes of isolated nodes started so far.
     pub processes: u64,
@@ -43,10 +43,10 @@ pub struct Soak {
     began: Option<Instant>,
 }
 
-/// How memory grew after the warm-up.
+/// Growth of memory after the warm-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Growth {
-    /// When the warm-up ended.
+    /// End of the warm-up, seconds since the first sample.
     pub from_seconds: f64,
     /// Slope of the straight line through the samples.
     pub mb_per_hour: f64,
@@ -54,7 +54,7 @@ pub struct Growth {
     pub error_mb_per_hour: f64,
     /// Resident memory in the last sample.
     pub resident_mb: f64,
-    /// Most growth that is not reported: noise of a run of this length, or 5 % of the resident memory per hour.
+    /// Maximum tolerated growth: noise of a run of this length, or 5 % of the resident memory per hour.
     pub tolerated_mb_per_hour: f64,
 }
 
@@ -68,21 +68,21 @@ impl Growth {
 /// A count before and after a run, without its warm-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Change {
-    /// Median of the first tenth after the warm-up.
+    /// Median of the first tenth of the samples after the warm-up.
     pub from: usize,
-    /// Median of the last tenth.
+    /// Median of the last tenth of the samples.
     pub to: usize,
 }
 
 impl Change {
-    /// Whether it grew by more than a twentieth and more than two.
+    /// Whether it grew by more than 5 % and more than two.
     pub fn is_leak(&self) -> bool {
         self.to > self.from + (self.from / 20).max(2)
     }
 }
 
 impl Soak {
-    /// Takes a sample if a second has passed since the last one. Returns the seconds since the first sample.
+    /// Takes a sample if the last one is at least a second old. Returns the seconds since the first sample.
     pub fn observe(&mut self, engine: &Engine) -> f64 {
         let since = *self.began.get_or_insert_with(Instant::now);
         if since.elapsed().as_secs_f64() >= self.samples.len() as f64 {
@@ -115,7 +115,7 @@ impl Soak {
         curve(&self.samples)
     }
 
-    /// Samples after the warm-up: threads, pools and files settle in the first third.
+    /// Samples after the warm-up: the first third of the run, in which threads, pools and files settle, is excluded.
     fn settled(&self) -> &[Sample] {
         &self.samples[self.samples.len() / 3..]
     }

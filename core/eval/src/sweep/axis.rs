@@ -1,4 +1,4 @@
-//! What a study varies: parameters and node types, and the values of each.
+//! Axes of a study: parameters and node types with their values.
 
 use panoscope_base::random::SplitMix64;
 use panoscope_graph::{ParamKind, ParamValue};
@@ -6,36 +6,37 @@ use panoscope_graph::{ParamKind, ParamValue};
 use super::error::SweepError;
 use super::values::{self, shown};
 
-/// Name that stands for the type of a node: `match.type`.
+/// Name of a node's type in an axis, such as `match.type`.
 pub(super) const TYPE: &str = "type";
 
-/// Values that are asked for.
+/// Requested values of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AxisValues {
-    /// From one end to the other; without an end, the parameter's own. Of switches and choices all are taken.
+    /// From one end to the other; default: the ends of the parameter's range. Switches and choices take all their
+    /// values.
     Range {
         /// First value.
         from: Option<f64>,
         /// Last value.
         to: Option<f64>,
-        /// Number of values of a grid; without it, that of the study.
+        /// Number of values of a grid; default: that of the study.
         steps: Option<usize>,
     },
-    /// These, as a graph file writes them.
+    /// These values, as in a graph file.
     List(Vec<String>),
 }
 
-/// Something that a study varies.
+/// A parameter or type that a study varies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxisRequest {
     /// `node.param`, or `node.type`.
     pub param: String,
-    /// Its values.
+    /// Its requested values.
     pub values: AxisValues,
 }
 
 impl AxisRequest {
-    /// Reads `node.param`, `node.param=1..9`, `node.param=1..9/5` (five values), or `node.param=a,b,c`.
+    /// Reads `node.param`, `node.param=1..9`, `node.param=1..9/5` (five values) or `node.param=a,b,c`.
     ///
     /// # Errors
     /// The text is none of them.
@@ -54,39 +55,41 @@ impl AxisRequest {
             return Ok(Self { param, values: AxisValues::List(list) });
         };
         let (to, steps) = match rest.split_once('/') {
-            Some((to, steps)) => (to, Some(steps.trim().parse().map_err(|_| bad("steps are a whole number"))?)),
+            Some((to, steps)) => {
+                (to, Some(steps.trim().parse().map_err(|_| bad("the number of steps must be a whole number"))?))
+            }
             None => (rest, None),
         };
         let end = |text: &str| match text.trim() {
             "" => Ok(None),
-            text => text.parse().map(Some).map_err(|_| bad("both ends of a range are numbers")),
+            text => text.parse().map(Some).map_err(|_| bad("both ends of a range must be numbers")),
         };
         Ok(Self { param, values: AxisValues::Range { from: end(from)?, to: end(to)?, steps } })
     }
 }
 
-/// One value: as a graph file writes it, and as a number, the position for words.
+/// A value as in a graph file, and as a number; for words their position.
 pub type AxisValue = (String, f64);
 
-/// An axis with the declaration of its parameter at hand.
+/// An axis checked against the declaration of its parameter.
 #[derive(Clone, Debug)]
 pub struct Axis {
     /// `node.param`, or `node.type`.
     pub param: String,
     /// Unit of the parameter; empty for none.
     pub unit: String,
-    /// The values are words: their numbers are positions.
+    /// Whether the values are words; their numbers are then positions.
     pub has_words: bool,
-    /// Values of a grid; of a random study those that are drawn from, unless `range` is there.
+    /// Values of a grid; in a random study without `range`, the values to draw from.
     pub values: Vec<AxisValue>,
-    /// Ends of a number that may have any value between them.
+    /// Ends of a continuous range.
     pub(super) range: Option<(f64, f64)>,
-    /// It is the type of a node, no parameter.
+    /// Whether it varies the type of a node.
     pub(super) is_type: bool,
 }
 
 impl Axis {
-    /// Words in the order in which they are given.
+    /// An axis of words, in the given order.
     pub(super) fn of_list(param: &str, unit: &str, list: &[String]) -> Self {
         let numbers: Option<Vec<f64>> = list.iter().map(|v| v.parse().ok().filter(|v: &f64| v.is_finite())).collect();
         let at = |index: usize| numbers.as_ref().map_or(index as f64, |numbers| numbers[index]);
@@ -101,7 +104,7 @@ impl Axis {
         }
     }
 
-    /// The values of a range of a parameter. With `is_random` all that are allowed, or both ends.
+    /// The axis of a range of a parameter. With `is_random` it has all allowed values, or both ends.
     pub(super) fn of_range(
         request: &AxisRequest,
         kind: &ParamKind,
@@ -139,7 +142,7 @@ impl Axis {
         }
     }
 
-    /// A number of the range, with digits that a person would write.
+    /// A number of the range, rounded to a short decimal number.
     pub(super) fn number(&self, value: f64) -> AxisValue {
         let (from, to) = self.range.unwrap_or((value, value + 1.0));
         let digits = 10f64.powi(5 - (to - from).abs().log10().floor() as i32);

@@ -1,80 +1,80 @@
-//! What can go wrong with a sweep.
+//! Errors of a sweep.
 
 use panoscope_graph::Diagnostics;
 
 /// Maximum number of values of one sweep.
 pub const MAX_STEPS: usize = 1000;
 
-/// Why nothing can be swept.
+/// A sweep that cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum SweepError {
     /// The graph has mistakes.
     #[error("the graph has mistakes:\n{}", .0.render(false))]
     Check(Diagnostics),
-    /// The parameter is not there, or cannot be swept.
+    /// The parameter does not exist or cannot be swept.
     #[error("`{param}`: {reason}")]
     Param {
-        /// As asked for.
+        /// Parameter as requested.
         param: String,
-        /// What is wrong, and how to correct it.
+        /// The problem and its correction.
         reason: String,
     },
     /// The measure does not exist, or has no numbers.
     #[error("`{measure}`: {reason}")]
     Measure {
-        /// As asked for.
+        /// Measure as requested.
         measure: String,
-        /// What is wrong, and how to correct it.
+        /// The problem and its correction.
         reason: String,
     },
-    /// A node that acts on the world stands between the sources and the measure.
+    /// A node with side effects is between the sources and the measure.
     #[error(
-        "`{measure}` needs node `{node}`, which acts on the world (writes files or moves things): measure before it"
+        "`{measure}` needs node `{node}`, which has side effects (writes files or moves devices): choose a measure upstream of it"
     )]
     Acts {
-        /// As asked for.
+        /// Measure as requested.
         measure: String,
-        /// The node.
+        /// Name of the node.
         node: String,
     },
 }
 
-/// Why nothing was measured at one value.
+/// A run without a measurement.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{reason}")]
 pub struct PointError {
-    /// Why the run failed, or what it did not put out.
+    /// Reason: the failure of the run, or the output without packets.
     pub reason: String,
 }
 
-/// Why a parameter has no values to sweep.
+/// A parameter that has no values to sweep.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum ValuesError {
-    #[error("it has no limits of its own: say from where to where")]
+    #[error("it has no limits: give both ends of the range")]
     Unbounded,
-    #[error("no value that is allowed lies from {from} to {to}: they are {step} apart")]
+    #[error("no allowed value lies between {from} and {to}: the step is {step}")]
     NoneAllowed { from: f64, to: f64, step: f64 },
-    #[error("{kind} cannot be swept: take a number, a switch or a choice")]
+    #[error("{kind} cannot be swept: choose a number, a switch or a choice")]
     Kind { kind: String },
     #[error("both ends must be finite numbers")]
     NotFinite,
-    #[error("{steps} steps: from 2 to {MAX_STEPS} values can be tried")]
+    #[error("{steps} steps: the number of values must be 2 to {MAX_STEPS}")]
     Steps { steps: usize },
-    #[error("both ends are {end}: there is nothing between them")]
+    #[error("both ends are {end}: give two different values")]
     Empty { end: f64 },
     #[error("{value}: {reason}")]
     Refused { value: String, reason: String },
 }
 
-/// A row of a table that cannot exist.
+/// An invalid row of a table.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`[{index}]` is no row: write {column}[1] for the first one, {column}[*] for all")]
+#[error("`[{index}]` is not a row: write {column}[1] for the first one, {column}[*] for all")]
 pub(super) struct RowError {
     pub column: String,
     pub index: String,
 }
 
-/// Why a graph's text cannot be reduced to a part of it.
+/// A graph's text that cannot be reduced to a part of it.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PartError {
     #[error("{}", .0.message())]

@@ -1,4 +1,4 @@
-//! What is measured in a sweep.
+//! Measures of a sweep.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use super::part;
 use panoscope_base::packet::{Numbers, has_numbers};
 use panoscope_engine::{NodeReport, Report};
 
-/// Counters that every node has, to be measured as `node.p50_ms`.
+/// Counters of every node, measured as `node.p50_ms`.
 pub const COUNTERS: [&str; 7] = ["p50_ms", "p99_ms", "max_ms", "count", "dropped", "skipped", "faults"];
 
 fn counter(node: &NodeReport, name: &str) -> Option<f64> {
@@ -25,36 +25,36 @@ fn counter(node: &NodeReport, name: &str) -> Option<f64> {
     })
 }
 
-/// Which rows of a table are measured: each may be a measure of its own.
+/// Measured rows of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rows {
-    /// The only one; a table with more is refused.
+    /// The only row; a table with more is refused.
     Only,
-    /// This one, from 1.
+    /// This row, from 1.
     Nth(usize),
-    /// All, as values of the same measure.
+    /// All rows, as values of the same measure.
     All,
 }
 
-/// What is measured.
+/// A measure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Measure {
     /// Each packet of an output: a scalar, or a column of a table.
     Port {
-        /// The node.
+        /// Name of the node.
         node: String,
         /// Its output.
         port: String,
         /// Type of its packets.
         packet: String,
-        /// Of a table.
+        /// Column, if it is a table.
         column: Option<String>,
-        /// Of a table.
+        /// Rows, if it is a table.
         rows: Rows,
     },
-    /// A number that the node reports, tick by tick, or a counter, at the end of the run.
+    /// A metric of the node in each tick, or a counter at the end of the run.
     Number {
-        /// The node.
+        /// Name of the node.
         node: String,
         /// The number's name.
         name: String,
@@ -75,7 +75,7 @@ impl fmt::Display for Measure {
 }
 
 impl Measure {
-    /// Reads `node.port`, `node.port.column` or `node.name`; returns the position of the node, too.
+    /// Reads `node.port`, `node.port.column` or `node.name`; also returns the position of the node.
     pub(super) fn of(text: &str, graph: &Graph, catalog: &Catalog) -> Result<(Self, usize), SweepError> {
         let bad = |reason: String| SweepError::Measure { measure: text.to_owned(), reason };
         let words = "write it as NODE.PORT, NODE.PORT.COLUMN or NODE.NUMBER";
@@ -105,13 +105,15 @@ impl Measure {
             ("table", None) => return Err(bad(format!("it is a table: name a column, {id}.{port}.COLUMN"))),
             _ => {
                 let outputs = part::list(&outputs);
-                return Err(bad(format!("it carries {packet}, no numbers; outputs of `{id}` with numbers: {outputs}")));
+                return Err(bad(format!(
+                    "its packets are {packet}, without numbers; outputs of `{id}` with numbers: {outputs}"
+                )));
             }
         }
         Ok((Self::Port { node: id.to_owned(), port: port.to_owned(), packet, column, rows }, node))
     }
 
-    /// Why the received packets show that there is no such measure at any value.
+    /// The reason, if the received packets show that the measure does not exist at any value.
     pub(super) fn wrong(&self, received: &Received) -> Option<String> {
         let Self::Port { column: Some(column), rows, .. } = self else { return None };
         if let Some(others) = &received.others {
@@ -141,7 +143,7 @@ impl Measure {
                     return Err(NoSummary::Run(format!("there is no row {row}: the table has up to {most}")));
                 }
                 if received.values.is_empty() && received.missing == 0 {
-                    return Err(NoSummary::Run("nothing came out of it".to_owned()));
+                    return Err(NoSummary::Run("it returned no packets".to_owned()));
                 }
                 Ok(Summary::of(&received.values, received.missing))
             }
@@ -170,16 +172,16 @@ impl Measure {
     }
 }
 
-/// Why a run gave no statistics.
+/// A run without statistics.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum NoSummary {
-    /// There is no such measure: other values would not have it either.
+    /// The measure does not exist, whatever the value.
     Measure(String),
-    /// This run failed.
+    /// The run failed.
     Run(String),
 }
 
-/// A column and which rows of it: `x_mm`, `x_mm[2]`, `x_mm[*]`.
+/// Parses a column and its rows: `x_mm`, `x_mm[2]`, `x_mm[*]`.
 fn rows_of(column: &str) -> Result<(&str, Rows), RowError> {
     let Some((name, index)) = column.strip_suffix(']').and_then(|c| c.rsplit_once('[')) else {
         return Ok((column, Rows::Only));
@@ -191,21 +193,21 @@ fn rows_of(column: &str) -> Result<(&str, Rows), RowError> {
     }
 }
 
-/// Values of a port so far.
+/// Received values of a measure.
 #[derive(Debug, Default)]
 pub(super) struct Received {
     values: Vec<f64>,
     missing: u64,
-    /// Columns of a table that does not have the wanted one.
+    /// Columns of a table without the requested one.
     others: Option<Vec<String>>,
-    /// The most rows that a table had.
+    /// Maximum number of rows of a table.
     max_rows: usize,
     /// Numbers that the node reported: tick and value.
     numbers: Vec<((u32, u64), f64)>,
 }
 
 impl Received {
-    /// Takes a packet.
+    /// Adds a packet.
     pub fn take(&mut self, bytes: &[u8], packet: &str, column: Option<&str>, rows: Rows) {
         let Ok(Some(numbers)) = Numbers::read(bytes, packet) else { return };
         let at = match column {
@@ -233,7 +235,7 @@ impl Received {
         }
     }
 
-    /// Takes a number that the node reported; the last one of a tick counts.
+    /// Adds a metric of the node; the last one of a tick counts.
     pub fn take_number(&mut self, tick: (u32, u64), value: f64) {
         match self.numbers.last_mut() {
             Some((last, slot)) if *last == tick => *slot = value,
@@ -245,23 +247,23 @@ impl Received {
 /// Statistics of the values of a measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// Finite values.
+    /// Number of finite values.
     pub count: u64,
-    /// Values that were not finite: unknown.
+    /// Number of values that were not finite.
     pub missing: u64,
-    /// Calls of any node that failed in the run: these ticks are measured without it, or not at all.
+    /// Failed calls of any node in the run; their ticks lack its outputs or are not measured.
     pub failed_calls: u64,
-    /// Mean of the finite ones; NaN when there are none, as are the following.
+    /// Mean of the finite values; NaN if there are none, like the following.
     pub mean: f64,
-    /// Half of them are no larger.
+    /// Median.
     pub median: f64,
-    /// The smallest.
+    /// Minimum.
     pub min: f64,
-    /// The largest.
+    /// Maximum.
     pub max: f64,
     /// Standard deviation.
     pub deviation: f64,
-    /// The last one, of measures that count since the start.
+    /// The last value, for measures that count from the start.
     pub last: f64,
 }
 

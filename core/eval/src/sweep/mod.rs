@@ -1,9 +1,9 @@
-//! A parameter swept over a range: one run of the same pictures for each value, and the statistics of a measure. A [`Study`] varies several
-//! parameters and node types, takes several measures, and writes a folder for each run.
+//! A parameter swept over a range: one run on the same images for each value, and the statistics of a measure. A
+//! [`Study`] varies several parameters and node types, takes several measures, and writes a folder for each run.
 //!
-//! Each value has an engine of its own, in batch, so that no frame is lost and the result does not depend on the machine's speed. Only the
-//! nodes that the measure needs are run, and none with side effects: nothing is written, nothing moves. A graph that runs meanwhile
-//! is not affected.
+//! Each value has a separate engine, in batch, so that no frame is lost and the result does not depend on the machine's
+//! speed. Only the nodes that the measure needs are run, and none with side effects: nothing is written, nothing moves.
+//! A graph that runs meanwhile is not affected.
 
 mod axis;
 mod error;

@@ -1,11 +1,11 @@
-//! The part of a graph that a measure needs.
+//! Reduces a graph to the part that a measure needs.
 
 use panoscope_graph::{Catalog, Graph};
 use toml::{Table, Value};
 
 use super::error::{PartError, SweepError};
 
-/// Names in a sentence.
+/// Joins names for a sentence.
 pub(super) fn list(names: &[&str]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
@@ -15,7 +15,7 @@ pub(super) fn no_node(graph: &Graph, id: &str) -> String {
     format!("there is no node `{id}`; nodes are {}", list(&ids))
 }
 
-/// Which nodes these nodes need: themselves, and all that they read, however far.
+/// For each node, whether it is one of `nodes` or upstream of one.
 pub(super) fn needed(graph: &Graph, nodes: &[usize]) -> Vec<bool> {
     let mut needed = vec![false; graph.nodes.len()];
     let mut open = nodes.to_vec();
@@ -27,7 +27,7 @@ pub(super) fn needed(graph: &Graph, nodes: &[usize]) -> Vec<bool> {
     needed
 }
 
-/// Refuses a part of a graph that acts on the world.
+/// Refuses a part of a graph with side effects.
 pub(super) fn refuse_acting(graph: &Graph, catalog: &Catalog, kept: &[bool], measure: &str) -> Result<(), SweepError> {
     let acts = |n: &usize| kept[*n] && graph.nodes[*n].node_type(catalog).side_effects;
     match (0..graph.nodes.len()).find(acts) {

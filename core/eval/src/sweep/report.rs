@@ -12,7 +12,7 @@ pub(super) fn number(value: f64) -> String {
     if value.abs() >= 1000.0 { format!("{value:.0}") } else { format!("{value:.4}") }
 }
 
-/// What to add to a result of a run with failed calls.
+/// Note for the result of a run with failed calls.
 pub(super) fn failures(summary: &Summary) -> String {
     match summary.failed_calls {
         0 => String::new(),
@@ -21,7 +21,7 @@ pub(super) fn failures(summary: &Summary) -> String {
     }
 }
 
-/// A point in one line.
+/// A point as one line of text.
 pub fn line(sweep: &Sweep, point: &Point) -> String {
     let (param, unit) = (sweep.param(), sweep.unit());
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
@@ -31,7 +31,7 @@ pub fn line(sweep: &Sweep, point: &Point) -> String {
     }
 }
 
-/// Points as text, a row per value.
+/// Points as text, one row per value.
 pub fn table(sweep: &Sweep, points: &[Point]) -> String {
     let head = [sweep.param(), "mean", "median", "min", "max", "deviation", "last", "count", "missing", "failed calls"];
     let mut rows = vec![head.map(str::to_owned).to_vec()];
@@ -49,7 +49,7 @@ pub fn table(sweep: &Sweep, points: &[Point]) -> String {
     text_table::table(&rows)
 }
 
-/// Points as JSON, an object per value.
+/// Points as JSON, one object per value.
 ///
 /// # Errors
 /// A value cannot be written as JSON.
@@ -84,7 +84,7 @@ fn row(sweep: &Sweep, point: &Point) -> Value {
     })
 }
 
-/// Mean, smallest and largest over the values.
+/// Draws mean, minimum and maximum over the values.
 pub fn chart(sweep: &Sweep, points: &[Point]) -> Chart {
     let (unit, has_words) = (sweep.unit(), sweep.has_words());
     let known = || points.iter().filter_map(|p| Some((p.at, p.result.as_ref().ok()?)));
@@ -106,7 +106,7 @@ pub fn chart(sweep: &Sweep, points: &[Point]) -> Chart {
     }
 }
 
-/// Points as a table for other programs: a line each.
+/// Points as CSV, one line each.
 pub fn csv(param: &str, measure: &str, points: &[Point]) -> String {
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
     let mut out = format!(

@@ -1,4 +1,4 @@
-//! Checking a sweep and running it.
+//! Checks a sweep and runs it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,56 +13,56 @@ use super::trial::Trial;
 use super::values::shown;
 use super::{part, values};
 
-/// What is swept.
+/// Options of a sweep.
 #[derive(Clone, Debug)]
 pub struct Request {
     /// The graph file.
     pub path: PathBuf,
     /// Its text.
     pub text: String,
-    /// `node.param=value`, in force in all runs.
+    /// `node.param=value`, applied in all runs.
     pub settings: Vec<String>,
     /// `node.param`.
     pub param: String,
-    /// First value; the parameter's smallest without it. Ignored for switches and choices, of which all values are taken.
+    /// First value; default: the parameter's minimum. Ignored for switches and choices, which take all their values.
     pub from: Option<f64>,
-    /// Last value; the parameter's largest without it.
+    /// Last value; default: the parameter's maximum.
     pub to: Option<f64>,
     /// Number of values, both ends included.
     pub steps: usize,
-    /// `node.port` of a scalar, `node.port.column` of a table (`column[2]` where it has several rows, `column[*]` for all), `node.metric`, or
-    /// `node.` and one of [`COUNTERS`].
+    /// `node.port` of a scalar, `node.port.column` of a table (`column[2]` if it has several rows, `column[*]` for
+    /// all), `node.metric`, or `node.` and one of [`COUNTERS`].
     pub measure: String,
     /// Maximum number of ticks of each source per value.
     pub frames: u64,
-    /// Replaces the graph's sources.
+    /// Recording that replaces the graph's sources.
     pub recording: Option<Arc<Recording>>,
-    /// Threads of each run; 0 takes as many as the machine has.
+    /// Threads of each run; 0: one per core.
     pub threads: usize,
 }
 
 /// Result of one value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// The value as a graph file writes it.
+    /// The value as in a graph file.
     pub value: String,
-    /// The same as a number; the position for switches and choices.
+    /// The value as a number; for switches and choices its position.
     pub at: f64,
-    /// What was measured, or why there is nothing.
+    /// The statistics, or the reason for their absence.
     pub result: Result<Summary, PointError>,
 }
 
-/// A sweep that was checked and can be run.
+/// A checked sweep.
 pub struct Sweep {
     request: Request,
     loader: Arc<Loader>,
-    /// The part of the graph that is run.
+    /// Text of the part of the graph that is run.
     text: String,
     values: Vec<(ParamValue, f64)>,
     measure: Measure,
     /// Unit of the parameter.
     unit: String,
-    /// The values are words: switches or choices.
+    /// Whether the values are words: switches or choices.
     words: bool,
 }
 
@@ -70,7 +70,7 @@ impl Sweep {
     /// Checks graph, parameter and measure.
     ///
     /// # Errors
-    /// See [`SweepError`]; nothing has run then.
+    /// See [`SweepError`]; nothing has been run.
     pub fn new(request: Request, loader: Arc<Loader>) -> Result<Self, SweepError> {
         let mut parsed = GraphText::parse(&request.path, &request.text);
         request.settings.iter().for_each(|setting| parsed.set(setting));
@@ -88,14 +88,17 @@ impl Sweep {
             bad_param(format!("`{id}` has no such parameter; it has {}", part::list(&names)))
         })?;
         if request.recording.is_some() && node_type.source {
-            return Err(bad_param(format!("the recording stands in for source `{id}`: sweep another node")));
+            return Err(bad_param(format!("the recording replaces source `{id}`: sweep another node")));
         }
         let values = values::of(&declared.kind, request.from, request.to, request.steps)
             .map_err(|error| bad_param(error.to_string()))?;
         let (measure, at) = Measure::of(&request.measure, &graph, &catalog)?;
         let kept = part::needed(&graph, &[at]);
         if !kept[node] {
-            return Err(bad_param(format!("nothing of `{id}` reaches `{}`: its value changes nothing there", measure)));
+            return Err(bad_param(format!(
+                "`{id}` is not upstream of `{}`, so it has no effect on it: sweep another parameter",
+                measure
+            )));
         }
         part::refuse_acting(&graph, &catalog, &kept, &request.measure)?;
         let text = part::text(&request.text, &graph, &kept).map_err(|error| bad_param(error.to_string()))?;
@@ -115,7 +118,7 @@ impl Sweep {
         self.values.len()
     }
 
-    /// Whether there is nothing to run, which never happens.
+    /// Always false: a sweep has at least one value.
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
     }
@@ -125,7 +128,7 @@ impl Sweep {
         &self.request.param
     }
 
-    /// The measure as it was asked for.
+    /// The measure as requested.
     pub fn measure_text(&self) -> &str {
         &self.request.measure
     }
@@ -140,15 +143,15 @@ impl Sweep {
         &self.unit
     }
 
-    /// Whether the values are words, of switches and choices: their numbers are positions only.
+    /// Whether the values are words, as of switches and choices; their numbers are only positions.
     pub fn has_words(&self) -> bool {
         self.words
     }
 
-    /// Runs all values; `each` gets the points one by one. Ends early once `cancelled` says so; it is asked often.
+    /// Runs all values; `each` receives each point. Ends early if `cancelled` returns true; it is called often.
     ///
     /// # Errors
-    /// There is no such column, row or number. That shows only while the first value runs, which ends then.
+    /// The column, row or metric does not exist, which only the first run can show.
     pub fn run(&self, cancelled: &dyn Fn() -> bool, mut each: impl FnMut(Point)) -> Result<(), SweepError> {
         for (value, at) in &self.values {
             let value = shown(value);
@@ -165,7 +168,7 @@ impl Sweep {
         Ok(())
     }
 
-    /// One run to its end.
+    /// Runs one value to its end.
     fn one(&self, value: &str, cancelled: &dyn Fn() -> bool) -> Result<Summary, NoSummary> {
         let mut settings = self.request.settings.clone();
         settings.push(format!("{}={value}", self.request.param));
@@ -184,7 +187,7 @@ impl Sweep {
     }
 }
 
-/// Whether values of that kind can be swept.
+/// Whether parameters of this kind can be swept.
 pub fn can_sweep(kind: &ParamKind) -> bool {
     matches!(kind, ParamKind::Bool { .. } | ParamKind::Int { .. } | ParamKind::Float { .. } | ParamKind::Choice { .. })
 }

@@ -1,35 +1,35 @@
-//! What was measured in a run, as files hold it, and the statistic that runs are compared by.
+//! Measures of a run as stored in files, and the statistic for comparisons of runs.
 
 use serde::{Deserialize, Serialize};
 
 use super::error::PointError;
 use super::measure::Summary;
 
-/// A measure of a run. JSON has no NaN: what is unknown is null.
+/// A measure of a run. JSON has no NaN: unknown values are null.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunMeasure {
-    /// As it was asked for.
+    /// Measure as requested.
     pub name: String,
-    /// Mean of the finite values, as are the following.
+    /// Mean of the finite values; the following statistics are also of these.
     pub mean: Option<f64>,
     /// Median.
     pub median: Option<f64>,
-    /// The smallest.
+    /// Minimum.
     pub min: Option<f64>,
-    /// The largest.
+    /// Maximum.
     pub max: Option<f64>,
     /// Standard deviation.
     pub deviation: Option<f64>,
-    /// The last one.
+    /// The last value.
     pub last: Option<f64>,
     /// Number of finite values.
     pub count: u64,
     /// Number of values that were not finite.
     pub missing: u64,
-    /// Calls of any node that failed in the run.
+    /// Failed calls of any node in the run.
     #[serde(default)]
     pub failed_calls: u64,
-    /// Why there is nothing.
+    /// Reason for the absence of values.
     pub failed: Option<String>,
 }
 
@@ -51,7 +51,7 @@ impl RunMeasure {
         }
     }
 
-    /// Columns of a table, with the names that they have behind the measure's.
+    /// Columns of a table: suffix after the measure's name, and value.
     pub fn columns(&self) -> [(&'static str, Option<f64>); 6] {
         [
             ("mean", self.mean),
@@ -64,26 +64,26 @@ impl RunMeasure {
     }
 }
 
-/// Statistic of a measure that runs are compared by.
+/// Statistic of a measure for comparisons of runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Statistic {
     /// Mean over the run.
     Mean,
     /// Median.
     Median,
-    /// The smallest.
+    /// Minimum.
     Min,
-    /// The largest.
+    /// Maximum.
     Max,
-    /// The last one, of measures that count since the start.
+    /// The last value, for measures that count from the start.
     Last,
 }
 
 impl Statistic {
-    /// All of them.
+    /// All statistics.
     pub const ALL: [Self; 5] = [Self::Mean, Self::Median, Self::Min, Self::Max, Self::Last];
 
-    /// The one with a name.
+    /// The statistic with this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|statistic| statistic.name() == name)
     }
@@ -99,7 +99,7 @@ impl Statistic {
         }
     }
 
-    /// The number; `None` where it is unknown.
+    /// Its value in a measure; `None` if unknown.
     pub fn of(self, measure: &RunMeasure) -> Option<f64> {
         measure.columns().into_iter().find(|(name, _)| *name == self.name()).and_then(|(_, value)| value)
     }

@@ -1,4 +1,4 @@
-//! Values that are looked for with what earlier runs have shown: the tree-structured Parzen estimator (Bergstra et al. 2011).
+//! Searches values by the results of earlier runs: the tree-structured Parzen estimator (Bergstra et al. 2011).
 
 use std::collections::BTreeMap;
 
@@ -8,10 +8,10 @@ use tpe::TpeOptimizer;
 
 use super::axis::{Axis, AxisValue};
 
-/// An axis as the optimizer sees it.
+/// An axis of the optimizer.
 struct Dimension {
     optimizer: TpeOptimizer,
-    /// Number of values, of axes that have them; the optimizer's number is then a position.
+    /// Number of values, for axes with a list; the optimizer's number is then a position.
     values: usize,
 }
 
@@ -19,12 +19,12 @@ struct Dimension {
 pub(super) struct Search {
     dimensions: Vec<Dimension>,
     random: StdRng,
-    /// Numbers of the optimizers for runs that have no result yet.
+    /// The optimizer's numbers for runs without a result yet.
     open: BTreeMap<usize, Vec<f64>>,
 }
 
 impl Search {
-    /// A search that begins at random; `None` for an axis without any width.
+    /// A search that begins with random values; `None` if an axis has zero width.
     pub fn new(axes: &[Axis], seed: u64) -> Option<Self> {
         let dimension = |axis: &Axis| {
             let (estimator, range) = match axis.range {
@@ -55,7 +55,7 @@ impl Search {
         values
     }
 
-    /// Takes the result of a run, less being better; a run that failed shows nothing.
+    /// Receives the result of a run, smaller being better; NaN for a failed run.
     pub fn tell(&mut self, number: usize, result: Option<f64>) {
         let Some(asked) = self.open.remove(&number) else { return };
         let Some(result) = result.filter(|v| v.is_finite()) else { return };

@@ -1,4 +1,4 @@
-//! A study: several parameters and node types varied together, several measures, runs side by side.
+//! A study: several parameters and node types varied together, with several measures and parallel runs.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -23,70 +23,70 @@ use super::trial::Trial;
 /// Maximum number of runs of a study.
 pub const MAX_RUNS: usize = 10_000;
 
-/// Which combinations of values are run.
+/// Combinations of values to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Plan {
-    /// All of them.
+    /// All combinations.
     Grid,
-    /// So many, each value drawn on its own.
+    /// A number of runs with independently drawn values.
     Random {
         /// Number of runs.
         runs: usize,
-        /// The same seed draws the same values.
+        /// Seed of the drawn values.
         seed: u64,
     },
-    /// So many, each where earlier ones show that the first measure gets better.
+    /// A number of runs that optimise the first measure.
     Search {
         /// Number of runs.
         runs: usize,
-        /// The same seed finds the same values, one run at a time.
+        /// Seed; runs one at a time are reproducible.
         seed: u64,
         /// Statistic of the first measure.
         statistic: Statistic,
-        /// More of it is better.
+        /// Whether larger is better.
         is_larger_better: bool,
     },
 }
 
-/// What is studied.
+/// Options of a study.
 #[derive(Clone, Debug)]
 pub struct StudyRequest {
     /// The graph file.
     pub path: PathBuf,
     /// Its text, without parts.
     pub text: String,
-    /// `node.param=value`, in force in all runs.
+    /// `node.param=value`, applied in all runs.
     pub settings: Vec<String>,
-    /// What is varied; the last one changes fastest.
+    /// Axes; the last one changes fastest.
     pub axes: Vec<AxisRequest>,
-    /// Which combinations are run.
+    /// Combinations to run.
     pub plan: Plan,
-    /// Number of values of a range that does not say it itself.
+    /// Number of values of a range without its own number.
     pub steps: usize,
     /// As [`super::Request::measure`], one or more.
     pub measures: Vec<String>,
     /// Maximum number of ticks of each source per run.
     pub frames: u64,
-    /// Replaces the graph's sources.
+    /// Recording that replaces the graph's sources.
     pub recording: Option<Arc<Recording>>,
-    /// Threads of each run; 0 shares those of the machine among the runs.
+    /// Threads of each run; 0: the cores are divided among the runs.
     pub threads: usize,
-    /// Runs at a time, at least 1.
+    /// Number of parallel runs, at least 1.
     pub jobs: usize,
 }
 
-/// The graph with one choice of node types.
+/// The graph with one combination of node types.
 pub(super) struct Variant {
     /// Types of the axes that vary types, in their order.
     types: Vec<String>,
-    /// The part of the graph that is run.
+    /// Text of the part of the graph that is run.
     pub text: String,
-    /// Settings that this graph takes.
+    /// Settings that apply to this graph.
     pub settings: Vec<String>,
     measures: Vec<Measure>,
-    /// Parameters of the file or of settings that the chosen types do not have.
+    /// Parameters of the file or settings that the chosen types lack.
     pub dropped: Vec<String>,
-    /// Hashes and machine.
+    /// Hashes of the files, and the machine.
     pub head: Head,
 }
 
@@ -97,13 +97,13 @@ pub struct RunResult {
     pub number: usize,
     /// A value for each axis.
     pub values: Vec<AxisValue>,
-    /// What was measured, in the order of the measures, or why there is nothing.
+    /// Statistics, or the reason for their absence, in the order of the measures.
     pub results: Vec<Result<Summary, PointError>>,
-    /// How long the run took.
+    /// Duration of the run, s.
     pub seconds: f64,
 }
 
-/// A study that was checked and can be run.
+/// A checked study.
 pub struct Study {
     pub(super) request: StudyRequest,
     pub(super) loader: Arc<Loader>,
@@ -127,7 +127,7 @@ fn split(param: &str) -> Result<(&str, &str), SweepError> {
     param.rsplit_once('.').ok_or_else(|| bad_param(param, "write it as NODE.PARAMETER, such as match.block_px"))
 }
 
-/// A graph that was checked.
+/// A checked graph.
 struct Ready {
     graph: Graph,
     catalog: Catalog,
@@ -137,7 +137,7 @@ struct Ready {
 }
 
 impl StudyRequest {
-    /// The graph with these types of nodes, without the parameters that they do not have.
+    /// The graph with these types of nodes, without the parameters that they lack.
     fn ready(&self, types: &[(&str, &str)], loader: &Loader) -> Result<Ready, SweepError> {
         let mut text = self.text.clone();
         let mut settings = self.settings.clone();
@@ -184,7 +184,7 @@ impl StudyRequest {
         Ok(Ready { graph, catalog, text, settings, dropped })
     }
 
-    /// The part of a checked graph that is run. `varied` are the nodes of the axes.
+    /// Reduces a checked graph to the part that is run. `varied` are the nodes of the axes.
     fn variant(&self, types: &[(&str, &str)], ready: Ready, loader: &Loader) -> Result<Variant, SweepError> {
         let Ready { graph, catalog, text, mut settings, dropped } = ready;
         let found: Result<Vec<(Measure, usize)>, SweepError> =
@@ -196,11 +196,12 @@ impl StudyRequest {
             let (id, _) = split(&axis.param)?;
             let node = graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&graph, id)))?;
             if !kept[node] {
-                let reason = format!("nothing of `{id}` reaches `{names}`: its value changes nothing there");
+                let reason =
+                    format!("`{id}` is not upstream of `{names}`, so it has no effect on them: vary another parameter");
                 return Err(bad_param(&axis.param, reason));
             }
             if self.recording.is_some() && graph.nodes[node].node_type(&catalog).source {
-                let reason = format!("the recording stands in for source `{id}`: sweep another node");
+                let reason = format!("the recording replaces source `{id}`: sweep another node");
                 return Err(bad_param(&axis.param, reason));
             }
         }
@@ -216,7 +217,7 @@ impl StudyRequest {
     }
 }
 
-/// All combinations; the last list changes fastest.
+/// All combinations of values; the last list changes fastest.
 fn combinations<T: Clone>(lists: &[Vec<T>]) -> Vec<Vec<T>> {
     lists.iter().fold(vec![Vec::new()], |all, list| {
         all.iter()
@@ -229,7 +230,7 @@ impl Study {
     /// Checks graph, axes and measures, for every choice of node types.
     ///
     /// # Errors
-    /// See [`SweepError`]; nothing has run then.
+    /// See [`SweepError`]; nothing has been run.
     pub fn new(request: StudyRequest, loader: Arc<Loader>) -> Result<Self, SweepError> {
         if request.axes.is_empty() {
             return Err(bad_param("--param", "name at least one parameter"));
@@ -306,22 +307,22 @@ impl Study {
         }
     }
 
-    /// Whether there is nothing to run, which never happens.
+    /// Always false: a study has at least one run.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// What is varied.
+    /// Axes of the study.
     pub fn axes(&self) -> &[Axis] {
         &self.axes
     }
 
-    /// The measures as they were asked for.
+    /// The measures as requested.
     pub fn measures(&self) -> &[String] {
         &self.request.measures
     }
 
-    /// Parameters that were left out because a chosen node type does not have them.
+    /// Parameters omitted because a chosen node type lacks them.
     pub fn dropped(&self) -> Vec<&str> {
         let mut all: Vec<&str> = self.variants.iter().flat_map(|v| v.dropped.iter().map(String::as_str)).collect();
         all.sort_unstable();
@@ -329,7 +330,7 @@ impl Study {
         all
     }
 
-    /// The graph of a run, and the settings of its axes.
+    /// The variant of a run, and the settings of its axes.
     pub(super) fn of_run(&self, values: &[AxisValue]) -> (&Variant, Vec<String>) {
         let (mut types, mut settings) = (Vec::new(), Vec::new());
         for (axis, (value, _)) in self.axes.iter().zip(values) {
@@ -387,10 +388,11 @@ impl Study {
         Ok(RunResult { number: number + 1, values, results, seconds: start.elapsed().as_secs_f64() })
     }
 
-    /// Makes all runs, `jobs` at a time; `each` gets the results as they come. Ends early once `cancelled` says so; it is asked often.
+    /// Makes all runs, `jobs` in parallel; `each` receives each result. Ends early if `cancelled` returns true; it is
+    /// called often.
     ///
     /// # Errors
-    /// There is no such column, row or number. That shows only while the first run is made; nothing more is run then.
+    /// The column, row or metric does not exist, which only the first run can show.
     pub fn run(
         &self,
         cancelled: &(dyn Fn() -> bool + Sync),
@@ -430,7 +432,7 @@ impl Study {
     }
 }
 
-/// An axis with its values, in a graph with certain node types.
+/// Resolves an axis in a graph with these node types.
 fn resolve(
     axis: &AxisRequest,
     ready: &Ready,
@@ -455,7 +457,7 @@ fn resolve(
     }
 }
 
-/// Checks each value of each list in the graph.
+/// Checks the graph with each value of each list.
 fn check_lists(
     request: &StudyRequest,
     ready: &Ready,

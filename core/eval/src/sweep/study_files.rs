@@ -1,4 +1,4 @@
-//! A study on disk: a folder for each run, and one table over all.
+//! A study on disk: a folder per run, and a table of all runs.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,50 +23,50 @@ const TABLE: &str = "results.csv";
 /// A parameter of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunParam {
-    /// `node.param`, or `node.type`.
+    /// Axis, `node.param` or `node.type`.
     pub name: String,
-    /// The value as a graph file writes it.
+    /// The value as in a graph file.
     pub value: String,
-    /// The same as a number; the position for words.
+    /// The value as a number; for words its position.
     pub at: f64,
     /// Unit; empty for none.
     pub unit: String,
-    /// The value is a word.
+    /// Whether the value is a word.
     pub is_word: bool,
 }
 
-/// What [`RESULTS`] holds.
+/// Content of [`RESULTS`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunFile {
     /// Version of Panoscope.
     pub version: String,
     /// Number of the run, from 1.
     pub run: usize,
-    /// The graph file that was studied. Relative paths in graph.toml start from its folder.
+    /// The studied graph file. Relative paths in graph.toml start from its folder.
     pub graph: String,
-    /// graph.toml as it was run.
+    /// Hash of graph.toml.
     pub graph_hash: FileHash,
-    /// The plugins that the graph lists.
+    /// Hashes of the plugins that the graph lists.
     pub plugins: Vec<FileHash>,
-    /// Files that its parameters name and that must exist, such as models.
+    /// Hashes of required files in its parameters, such as models.
     pub models: Vec<FileHash>,
     /// The machine.
     pub machine: Machine,
     /// When the study was prepared, in ms since 1970.
     pub unix_ms: u64,
-    /// How long the run took.
+    /// Duration of the run, s.
     pub seconds: f64,
     /// Maximum number of ticks of each source.
     pub frames: u64,
-    /// The recording that stood in for the sources.
+    /// Recording that replaced the sources.
     pub recording: Option<String>,
-    /// `node.param=value` of the command line, in force in all runs.
+    /// `node.param=value` of the command line, applied in all runs.
     pub settings: Vec<String>,
-    /// Parameters that were left out because the chosen node type does not have them.
+    /// Parameters omitted because the chosen node type lacks them.
     pub dropped: Vec<String>,
-    /// What was varied.
+    /// Values of the axes.
     pub params: Vec<RunParam>,
-    /// What was measured.
+    /// The measures.
     pub measures: Vec<RunMeasure>,
 }
 
@@ -74,10 +74,10 @@ impl RunFile {
     /// Reads the results of a run.
     ///
     /// # Errors
-    /// The file cannot be read, or is of another kind.
+    /// The file cannot be read, or has another format.
     pub fn read(file: &Path) -> Result<Self> {
         let text = fs::read_to_string(file).on_file(FileAction::Read, file)?;
-        serde_json::from_str(&text).with_context(|| format!("{} holds no results of a run", file.display()))
+        serde_json::from_str(&text).with_context(|| format!("{} has no results of a run", file.display()))
     }
 }
 
@@ -89,10 +89,10 @@ pub struct StudyFolder {
 }
 
 impl StudyFolder {
-    /// Makes the folder. `recording` is the file that stands in for the sources.
+    /// Creates the folder. `recording` is the file that replaces the sources.
     ///
     /// # Errors
-    /// It cannot be made, or holds a study already.
+    /// It cannot be created, or already has a study.
     pub fn create(folder: &Path, recording: Option<&Path>) -> Result<Self> {
         if folder.join(TABLE).exists() {
             let reason = format!("{} holds a study already: name another folder with --out", folder.display());
@@ -103,7 +103,7 @@ impl StudyFolder {
         Ok(Self { folder: folder.to_owned(), recording })
     }
 
-    /// Writes a run: its graph, and what was measured.
+    /// Writes a run: its graph and its measures.
     ///
     /// # Errors
     /// A file cannot be written.
@@ -152,7 +152,7 @@ impl StudyFolder {
         fs::write(&path, text).on_file(FileAction::Write, &path)
     }
 
-    /// Writes the table over all runs.
+    /// Writes the table of all runs.
     ///
     /// # Errors
     /// It cannot be written.
@@ -163,7 +163,7 @@ impl StudyFolder {
     }
 }
 
-/// Runs as a table for other programs, a line each: number, values, statistics of each measure, why it failed.
+/// Runs as CSV, one line each: number, values, statistics of each measure, failure.
 pub fn study_csv(study: &Study, results: &[RunResult]) -> String {
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
     let mut head = vec!["run".to_owned()];
@@ -201,7 +201,7 @@ fn sorted(results: &[RunResult]) -> Vec<&RunResult> {
     sorted
 }
 
-/// A run in one line.
+/// A run as one line of text.
 pub fn study_line(study: &Study, run: &RunResult) -> String {
     let values = study.axes.iter().zip(&run.values).map(|(axis, (value, _))| format!("{} = {value}", axis.param));
     let results = study.measures().iter().zip(&run.results).map(|(name, result)| match result {
@@ -211,7 +211,7 @@ pub fn study_line(study: &Study, run: &RunResult) -> String {
     format!("{}: {}", values.collect::<Vec<_>>().join(", "), results.collect::<Vec<_>>().join(", "))
 }
 
-/// Runs as text, a row each, with the mean of each measure.
+/// Runs as text, one row each, with the mean of each measure.
 pub fn study_table(study: &Study, results: &[RunResult]) -> String {
     let mut head = vec!["run".to_owned()];
     head.extend(study.axes.iter().map(|axis| axis.param.clone()));

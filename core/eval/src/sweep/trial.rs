@@ -1,4 +1,4 @@
-//! One run of a graph, with everything in it that is measured.
+//! One run of a graph with its measures.
 
 use std::convert::Infallible;
 use std::path::Path;
@@ -14,10 +14,10 @@ use panoscope_record::{Recording, Replay, ReplayOptions};
 use super::measure::{Measure, NoSummary, Received, Summary};
 use crate::run::failed_node;
 
-/// How long nodes may take to end.
+/// Maximum time for nodes to end.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A run that is to be made.
+/// A run to make.
 pub(super) struct Trial<'a> {
     /// The graph file: relative paths start from its folder.
     pub path: &'a Path,
@@ -28,18 +28,19 @@ pub(super) struct Trial<'a> {
     pub measures: &'a [Measure],
     /// Maximum number of ticks of each source.
     pub frames: u64,
-    /// Threads of the pool; 0 takes as many as the machine has.
+    /// Threads of the pool; 0: one per core.
     pub threads: usize,
-    /// Replaces the graph's sources.
+    /// Recording that replaces the graph's sources.
     pub recording: Option<&'a Arc<Recording>>,
     pub loader: &'a Arc<Loader>,
 }
 
-/// What was received for each measure, in their order.
+/// Received values, in the order of the measures.
 type AllReceived = Arc<Vec<Mutex<Received>>>;
 
 impl Trial<'_> {
-    /// Runs to the end; statistics of each measure in their order. Ends early once `cancelled` says so, or a measure cannot exist.
+    /// Runs to the end; returns statistics in the order of the measures. Ends early if `cancelled` returns true or a
+    /// measure cannot exist.
     ///
     /// # Errors
     /// The run failed: nothing was measured.
@@ -106,7 +107,7 @@ impl Trial<'_> {
         Ok(self.measures.iter().zip(&*received).map(summary).collect())
     }
 
-    /// One listener for each port, whatever the number of its measures.
+    /// One listener for each port.
     fn listeners(&self, received: &AllReceived) -> Vec<Listener> {
         let mut listeners: Vec<Listener> = Vec::new();
         for measure in self.measures {
@@ -139,7 +140,7 @@ impl Trial<'_> {
         listeners
     }
 
-    /// One listener for each node that reports numbers.
+    /// One listener for each node with measured metrics.
     fn number_listeners(&self, received: &AllReceived) -> Vec<NumberListener> {
         let mut listeners: Vec<NumberListener> = Vec::new();
         for measure in self.measures {

@@ -4,7 +4,7 @@ use panoscope_graph::{ParamKind, ParamValue};
 
 use super::error::{MAX_STEPS, ValuesError};
 
-/// A value as a graph file writes it.
+/// A value as in a graph file.
 pub fn shown(value: &ParamValue) -> String {
     match value {
         ParamValue::Bool(on) => on.to_string(),
@@ -17,7 +17,8 @@ pub fn shown(value: &ParamValue) -> String {
     }
 }
 
-/// The values from one end to the other, each with its number; for switches and choices all there are, with their positions.
+/// The values from one end to the other, each with its number; for switches and choices all values with their
+/// positions.
 pub(super) fn of(
     kind: &ParamKind,
     from: Option<f64>,

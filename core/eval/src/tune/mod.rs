@@ -1,4 +1,4 @@
-//! Gains of the arm's PID, found on the simulated arm: relay feedback, rules, a search.
+//! Gains of the arm's PID, tuned on the simulated arm: relay feedback, rules, a search.
 
 mod params;
 mod report;

@@ -1,4 +1,4 @@
-//! Controller and arm of a graph file, as numbers.
+//! Parameters of the controller and arm of a graph file.
 
 use std::path::Path;
 
@@ -14,17 +14,17 @@ use panoscope_host::loader::graph_file;
 
 use crate::error::{Context, EvalError, Result, bail};
 
-/// A controller and the arm that it moves.
+/// A controller and its arm.
 pub struct Plant {
-    /// The controller.
+    /// Parameters of the controller.
     pub goals: Goals,
-    /// The arm.
+    /// Model of the arm.
     pub course: Course,
     /// Name of the controller in its graph.
     pub node: Option<String>,
 }
 
-/// The arm that ships with the defaults of its nodes.
+/// The shipped arm with the defaults of its nodes.
 pub fn shipped() -> Result<Plant> {
     Ok(Plant { goals: shipped_goals(), course: Course::shipped(Chain::shipped()?), node: None })
 }
@@ -54,11 +54,14 @@ impl Named<'_> {
         match self.value(name) {
             Some(ParamValue::Float(value)) => Ok(*value),
             Some(ParamValue::Int(value)) => Ok(*value as f64),
-            _ => bail!("`{}` has no number `{name}`: its plugin is of another version", self.node.id),
+            _ => bail!(
+                "`{}` has no number `{name}`: its plugin has another version; install Panoscope again",
+                self.node.id
+            ),
         }
     }
 
-    /// The arm's file; none takes the one that ships.
+    /// Loads the arm's file; default: the shipped one.
     fn arm(&self) -> Result<Chain> {
         match self.value("arm") {
             Some(ParamValue::Path(path)) if !path.as_os_str().is_empty() => {
@@ -71,7 +74,7 @@ impl Named<'_> {
     }
 }
 
-/// Takes controller and arm from a graph file. `node` names the controller where there are several.
+/// Reads controller and arm from a graph file. `node` names the controller if there are several.
 pub fn of_graph(path: &Path, node: Option<&str>, options: &GraphOptions) -> Result<Plant> {
     let ready = match graph_file::open(path, options) {
         Ok(ready) => ready,
@@ -84,12 +87,14 @@ pub fn of_graph(path: &Path, node: Option<&str>, options: &GraphOptions) -> Resu
     let controller = match (node, &controllers[..]) {
         (Some(id), _) => match controllers.iter().find(|n| n.id == id) {
             Some(found) => *found,
-            None if controllers.is_empty() => return refused(format!("`{id}` is no `arm_pid`, and there is none")),
-            None => return refused(format!("`{id}` is no `arm_pid`; there is {}", names())),
+            None if controllers.is_empty() => {
+                return refused(format!("`{id}` is not an `arm_pid`, and the graph has none"));
+            }
+            None => return refused(format!("`{id}` is not an `arm_pid`; the graph has {}", names())),
         },
         (None, [one]) => one,
-        (None, []) => return refused("there is no node of type `arm_pid` to tune".to_owned()),
-        (None, _) => return refused(format!("there are several `arm_pid`, {}: name one with --node", names())),
+        (None, []) => return refused("the graph has no node of type `arm_pid` to tune".to_owned()),
+        (None, _) => return refused(format!("the graph has several `arm_pid`, {}: choose one with --node", names())),
     };
     let arms = of_type("arm_sim");
     let pid = Named { node: controller, catalog: &ready.catalog };

@@ -1,4 +1,4 @@
-//! What was found, as tables, as a graph's text, as a picture and as JSON.
+//! Results as tables, graph text, an image and JSON.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -40,12 +40,12 @@ fn row(name: &str, found: &Candidate) -> Vec<String> {
 }
 
 impl Tunings {
-    /// Limits of stability, the rules' gains, and how all gains perform, as text.
+    /// Limits of stability, the rules' gains, and the performance of all gains, as text.
     pub fn tables(&self) -> String {
         tables(&self.channels)
     }
 
-    /// A line per channel with the number of gains tried; none unless gains were searched.
+    /// A line per channel with the number of gains tried; empty unless gains were searched.
     pub fn effort(&self) -> Vec<String> {
         let line = |tuning: &Tuning| format!("{}: {} sets of gains tried", tuning.channel.name(), tuning.tries);
         if self.method == Method::Search { self.channels.iter().map(line).collect() } else { Vec::new() }
@@ -56,7 +56,7 @@ impl Tunings {
         fragment(self)
     }
 
-    /// Responses of all gains to a step and to a ramp as a picture: a row of charts per channel.
+    /// Responses of all gains to a step and to a ramp as an image with a row of charts per channel.
     ///
     /// # Errors
     /// A response cannot be computed, or the file cannot be written.
@@ -64,7 +64,7 @@ impl Tunings {
         plot(path, self)
     }
 
-    /// All of it as JSON.
+    /// All results as JSON.
     ///
     /// # Errors
     /// A value cannot be written as JSON.
@@ -73,7 +73,7 @@ impl Tunings {
     }
 }
 
-/// Limits of stability, rules, and how the gains perform.
+/// Limits of stability, rules, and performance of the gains.
 fn tables(all: &[Tuning]) -> String {
     let mut text = String::new();
     for tuning in all {

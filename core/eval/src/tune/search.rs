@@ -13,29 +13,30 @@ use super::params::{self, Plant};
 use crate::error::{Context, EvalError, Result};
 use crate::session::{Session, check_cancelled};
 
-/// How gains are found.
+/// Method of tuning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// By this rule from the limit of stability, which relay feedback finds.
+    /// This rule, applied to the limit of stability that relay feedback finds.
     Relay(Rule),
-    /// By a search that begins at the rules' gains.
+    /// A search that begins with the rules' gains.
     Search,
 }
 
 /// Options of [`tune`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Graph file whose controller and simulated arm are tuned. Without it: the arm that ships, with the defaults of `arm_pid` and `arm_sim`.
+    /// Graph file whose controller and simulated arm are tuned. Default: the shipped arm with the defaults of `arm_pid`
+    /// and `arm_sim`.
     pub graph: Option<PathBuf>,
-    /// The `arm_pid` of the graph; only needed where it has several.
+    /// The `arm_pid` of the graph; only needed if it has several.
     pub node: Option<String>,
     /// Overlays, arguments and settings of the graph.
     pub given: GraphOptions,
-    /// How gains are found.
+    /// Method of tuning.
     pub method: Method,
-    /// Overshoot of a step that the search does not punish.
+    /// Overshoot of a step that the search does not penalise, percent.
     pub overshoot_pct: f64,
-    /// Share of the tip's own movement that is fed forward, 0 to 1; what the node has if `None`.
+    /// Share of the tip's own movement that is fed forward, 0 to 1; default: that of the node.
     pub feed_forward: Option<f64>,
 }
 
@@ -52,20 +53,20 @@ impl Default for Options {
     }
 }
 
-/// Gains of some parts of a channel, and how they perform.
+/// Gains of some parts of a channel, and their performance.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     /// P, PI or PID.
     pub parts: Parts,
     /// The gains.
     pub tuned: Tuned,
-    /// What the search minimises.
+    /// Cost that the search minimises.
     pub cost: Cost,
     /// Responses to steps and ramps.
     pub report: Report,
 }
 
-/// What was found for one channel.
+/// Results of one channel.
 #[derive(Clone, Debug)]
 pub struct Tuning {
     /// The channel.
@@ -74,9 +75,9 @@ pub struct Tuning {
     pub ultimate: Ultimate,
     /// The gains that the controller has now.
     pub now: Candidate,
-    /// P, PI and PID, as far as the method has them.
+    /// P, PI and PID, those that the method provides.
     pub found: Vec<Candidate>,
-    /// Sets of gains that were tried.
+    /// Number of gains tried.
     pub tries: usize,
 }
 
@@ -88,21 +89,22 @@ pub struct Tunings {
     pub plant: Plant,
     /// Goals with the feed-forward share that was used.
     pub goals: Goals,
-    /// How gains were found.
+    /// Method of tuning.
     pub method: Method,
 }
 
 /// Finds gains for both channels of the arm's controller on the simulated arm.
 ///
 /// # Errors
-/// An option is out of range, the graph cannot be used, the loop does not oscillate under relay feedback, or the session is cancelled.
+/// An option is out of range, the graph cannot be used, the loop does not oscillate under relay feedback, or the
+/// session is cancelled.
 pub fn tune(session: &dyn Session, options: &Options) -> Result<Tunings> {
     if !(0.0..=100.0).contains(&options.overshoot_pct) {
         let reason = format!("--overshoot is {}: it is a percentage, 0 to 100", options.overshoot_pct);
         return Err(EvalError::Options { reason });
     }
     if let Some(share) = options.feed_forward.filter(|share| !(0.0..=1.0).contains(share)) {
-        return Err(EvalError::Options { reason: format!("--feed-forward is {share}: it is a share, 0 to 1") });
+        return Err(EvalError::Options { reason: format!("--feed-forward is {share}; it must be between 0 and 1") });
     }
     let plant = match &options.graph {
         None => params::shipped()?,
@@ -119,9 +121,8 @@ pub fn tune(session: &dyn Session, options: &Options) -> Result<Tunings> {
 
 fn one(session: &dyn Session, options: &Options, plant: &Plant, goals: &Goals, channel: Channel) -> Result<Tuning> {
     let course = &plant.course;
-    let ultimate = course
-        .relay(goals, channel)
-        .with_context(|| format!("the {} of the tip could not be tuned", channel.name()))?;
+    let ultimate =
+        course.relay(goals, channel).with_context(|| format!("cannot tune the {} of the tip", channel.name()))?;
     let mut tries = 0;
     let judge = |tuned: Tuned| search::cost(course, goals, channel, tuned, options.overshoot_pct);
     let report = |tuned: Tuned| search::report(course, goals, channel, tuned);

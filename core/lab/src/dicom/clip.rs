@@ -1,4 +1,4 @@
-//! Clips as MP4 with H.264, as DICOM wants them.
+//! Clips as MP4 with H.264, for DICOM.
 
 use std::fs;
 use std::os::unix::fs::DirBuilderExt;
@@ -11,10 +11,10 @@ use panoscope_dicom::object::Clip;
 
 use panoscope_cli::terminal::log;
 
-/// Constant rate factor of the video: looks like the original.
+/// Constant rate factor of the video: visually close to the original.
 const CRF: u8 = 18;
 
-/// MP4 files made of clips, in a hidden folder that goes when this is dropped.
+/// MP4 files made of clips, in a hidden folder that is removed when this is dropped.
 pub struct Clips {
     folder: PathBuf,
     count: u32,
@@ -26,7 +26,7 @@ impl Clips {
         Self { folder: outbox.join(format!(".clips.{}", std::process::id())), count: 0 }
     }
 
-    /// The MP4 form of a clip: the clip itself where the standard allows its video, else a new file.
+    /// The MP4 form of a clip: the clip itself if the standard allows its video, else a new file.
     ///
     /// # Errors
     /// The clip cannot be read or converted.
@@ -66,11 +66,11 @@ impl Drop for Clips {
     }
 }
 
-/// A graph that converts a clip. A damaged picture is left out, as players do.
+/// A graph that converts a clip. Damaged frames are skipped, as by players.
 fn graph_text(clip: &Path, mp4: &Path) -> Result<String, String> {
     let absolute = |path: &Path| {
         let path = std::path::absolute(path).map_err(|error| error.to_string())?;
-        let text = path.to_str().ok_or_else(|| format!("{} is no UTF-8", path.display()))?;
+        let text = path.to_str().ok_or_else(|| format!("{} is not UTF-8", path.display()))?;
         Ok::<_, String>(toml::Value::from(text).to_string())
     };
     let (clip, mp4) = (absolute(clip)?, absolute(mp4)?);

@@ -17,7 +17,7 @@ use panoscope_cli::terminal::{log, out};
 /// Commands of `dicom`.
 #[derive(clap::Subcommand)]
 pub enum Dicom {
-    /// Asks a server whether it answers (C-ECHO).
+    /// Checks that a server answers (C-ECHO).
     Echo(Server),
     /// Lists the entries of a worklist.
     Worklist {
@@ -28,11 +28,12 @@ pub enum Dicom {
     },
     /// Makes DICOM objects of stills, clips and measurements, for the patient of one worklist entry, in a folder.
     Wrap(Wrap),
-    /// Stores the objects of a folder at a PACS (C-STORE). Those that it has confirmed leave the folder, all others stay for the next call.
+    /// Stores the objects of a folder at a PACS (C-STORE). Confirmed objects are removed from the folder; others stay
+    /// for the next call.
     Send(Send),
 }
 
-/// A server, and who asks.
+/// Address and titles of a server.
 #[derive(clap::Args)]
 pub struct Server {
     /// Address of the PACS or worklist server.
@@ -65,7 +66,7 @@ impl Server {
     }
 }
 
-/// Which entries of a worklist.
+/// Filter of worklist entries.
 #[derive(clap::Args)]
 pub struct QueryArguments {
     /// Only steps of this modality, such as ES for endoscopy.
@@ -80,7 +81,7 @@ pub struct QueryArguments {
 }
 
 impl QueryArguments {
-    /// The query; or what is wrong.
+    /// The query.
     fn query(&self) -> Result<Query, String> {
         let date = match self.date.as_str() {
             "today" => panoscope_dicom::today(),
@@ -97,7 +98,7 @@ impl QueryArguments {
             |text: &str| text.len() <= 16 && text.chars().all(|c| c.is_ascii_graphic() && !"\\*?".contains(c));
         for (name, text) in [("--modality", &self.modality), ("--station", &self.station)] {
             if !is_code(text) {
-                return Err(format!("{name} `{text}`: at most 16 letters, digits and signs"));
+                return Err(format!("{name} `{text}`: use at most 16 ASCII letters, digits and punctuation marks"));
             }
         }
         Ok(Query { modality: self.modality.clone(), date, station: self.station.clone() })
@@ -136,7 +137,7 @@ pub struct Wrap {
     /// Stills, clips and tables of `measure`, or folders with them, such as the theatre's.
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// Folder for the objects; it is made when it is missing, for its owner alone.
+    /// Folder for the objects; created if missing, accessible only to its owner.
     #[arg(long, short, value_name = "FOLDER")]
     output: PathBuf,
     /// Worklist server.
@@ -146,13 +147,13 @@ pub struct Wrap {
     titles: Titles,
     #[command(flatten)]
     query: QueryArguments,
-    /// Accession number, step ID or study instance UID of the entry; without it you are asked.
+    /// Accession number, step ID or study instance UID of the entry; default: you are asked.
     #[arg(long, value_name = "KEY", requires = "pacs")]
     entry: Option<String>,
-    /// Part of the body that the endoscope looked at.
+    /// Body region in view of the endoscope.
     #[arg(long, value_name = "PART", default_value = "unknown")]
     region: Part,
-    /// The entry as a DICOM file, where there is no worklist server.
+    /// The entry as a DICOM file, if there is no worklist server.
     #[arg(long, value_name = "FILE", conflicts_with = "pacs")]
     entry_file: Option<PathBuf>,
 }

@@ -8,7 +8,7 @@ use panoscope_engine::text_table::table as text_table;
 
 use panoscope_cli::terminal::log;
 
-/// A name as people write it: `Müller, Änne` of `Müller^Änne`.
+/// A name in natural order: `Müller, Änne` of `Müller^Änne`.
 fn name(patient: &str) -> String {
     let alphabetic = patient.split('=').find(|group| !group.is_empty()).unwrap_or_default();
     let mut parts = alphabetic.split('^').filter(|part| !part.is_empty());
@@ -59,16 +59,15 @@ pub fn table(entries: &[Entry]) -> String {
     text_table(&whole).trim_end().to_owned()
 }
 
-/// Asks which entry it is, and again whether it is that patient; `None` when nobody says so.
+/// Asks for the entry, then for confirmation of the patient; `None` if it is not confirmed.
 ///
-/// # Errors
-/// There is nothing to choose from, or nobody to ask.
+/// # Errors There are no entries, or there is no terminal.
 pub fn ask(entries: &[Entry]) -> Result<Option<&Entry>> {
     if entries.is_empty() {
         bail!("the worklist has no entries for this query: see --date, --modality and --station");
     }
     if !std::io::stdin().is_terminal() {
-        bail!("name the entry with --entry: there is no terminal to ask on");
+        bail!("there is no terminal to ask on: choose the entry with --entry");
     }
     log!("{}", table(entries));
     let Some(entry) = line("Number of the entry: ")?.parse().ok().and_then(|n: usize| entries.get(n.checked_sub(1)?))

@@ -7,16 +7,16 @@ use panoscope_eval::eval::arm::{self, Options};
 /// Arguments of `eval arm`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Only these parts; may be given again. Without it all.
+    /// Parts to run; repeatable. Default: all.
     #[arg(long, value_parser = arm::PARTS)]
     part: Vec<String>,
-    /// Only these scenarios; may be given again. Without it all.
+    /// Scenarios to run; repeatable. Default: all.
     #[arg(long)]
     scenario: Vec<String>,
     /// Length of each run, s of media time.
     #[arg(long, default_value_t = arm::Options::default().seconds, value_parser = clap::value_parser!(u32).range(8..=3600))]
     seconds: u32,
-    /// Width of the phantom's pictures in the graph's runs, px.
+    /// Width of the phantom's images in the graph's runs, px.
     #[arg(long, default_value_t = arm::Options::default().width, value_parser = clap::value_parser!(u32).range(64..=1920))]
     width: u32,
     /// Inputs of the campaign against the limits.
@@ -34,7 +34,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { part, scenario, seconds, width, cases, seed, pictures, .. } = self;
         Options {

@@ -7,13 +7,13 @@ use panoscope_eval::eval::calibrate::{self, Options};
 /// Arguments of `eval calibrate`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Only these cases; may be given again. Without it all.
+    /// Cases to run; repeatable. Default: all.
     #[arg(long, value_parser = calibrate::CASES)]
     case: Vec<String>,
-    /// Folder of data sets, searched before the usual ones. May be given again.
+    /// Folder of data sets, searched before the default ones; repeatable.
     #[arg(long, value_name = "DIR")]
     data: Vec<PathBuf>,
-    /// Folder for the pictures of each case.
+    /// Folder for the images of each case.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Writes the figures as JSON.
@@ -22,7 +22,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { case, data, pictures, .. } = self;
         Options { cases: case.clone(), data: data.clone(), pictures: pictures.clone() }

@@ -9,7 +9,7 @@ use panoscope_eval::figures::Figure;
 
 use panoscope_cli::terminal::raw;
 
-/// Another program that judges the same finds.
+/// Another program that evaluates the same detections.
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum SelfCheck {
     /// COCO's own tools for Python.
@@ -19,14 +19,15 @@ enum SelfCheck {
 /// Arguments of `eval detect`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Only these cases; may be given again. Without it all: `test` (official test split), `left_out` (whole operations that the
-    /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
+    /// Cases to run; repeatable. Default: all of `test` (official test split), `left_out` (whole operations that the
+    /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the
+    /// phantom).
     #[arg(long, value_parser = detect::CASES)]
     case: Vec<String>,
-    /// Detector; else the one that ships.
+    /// Detector; default: the shipped one.
     #[arg(long, value_name = "FILE.onnx")]
     model: Option<PathBuf>,
-    /// Segmenter; else the one that ships.
+    /// Segmenter; default: the shipped one.
     #[arg(long, value_name = "FILE.onnx")]
     masks: Option<PathBuf>,
     /// Detector trained without the operations of --left-out, for the case `left_out`.
@@ -35,47 +36,49 @@ pub struct Arguments {
     /// Operations of the case `left_out`.
     #[arg(long, value_delimiter = ',', default_value = "v02,v08", value_name = "NAMES")]
     left_out: Vec<String>,
-    /// Scores stored predictions instead of a model: a folder with `foldN.json` of each fold, as `train_detector.py --fold N` writes them.
-    /// Gives mAP at 0.5 on the operations that each training never saw, mean and worst fold, with intervals, and how far scores are probabilities.
+    /// Scores stored predictions instead of a model: a folder with `foldN.json` of each fold, as `train_detector.py
+    /// --fold N` writes them. Gives mAP at 0.5 on the operations that each training never saw, mean and worst fold,
+    /// with intervals, and the calibration of scores.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["case", "model", "masks", "left_out_model", "split", "images", "set", "selfcheck", "tables"])]
     folds: Option<PathBuf>,
     /// A second folder of that kind; --folds is compared with it on the same frames.
     #[arg(long, value_name = "DIR", requires = "folds")]
     beside: Option<PathBuf>,
-    /// Only these folds, without mean and worst. May be given again.
+    /// Folds to evaluate, without mean and worst; repeatable.
     #[arg(long, value_name = "NAME", requires = "folds")]
     only_fold: Vec<String>,
-    /// File of folds; else the one that ships.
+    /// File of folds; default: the shipped one.
     #[arg(long, value_name = "FILE.toml", requires = "folds")]
     fold_file: Option<PathBuf>,
     /// Writes the calibration of the scores that --folds finds, for `export_detector.py --calibration`.
     #[arg(long, value_name = "FILE.json", requires = "folds")]
     calibration: Option<PathBuf>,
-    /// Share of right boxes that the limit of each class in that file holds.
+    /// Precision that the limit of each class in that file guarantees, 0 to 1.
     #[arg(long, value_name = "SHARE", requires = "folds", default_value_t = 0.9, value_parser = share)]
     precision: f64,
-    /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
+    /// Your own ground truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO files.
+    /// Evaluates --model and, if given, --masks.
     #[arg(long, value_name = "PATH")]
     truth: Option<PathBuf>,
-    /// Which split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
+    /// Split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
     #[arg(long, value_name = "NAME")]
     split: Option<String>,
-    /// Folder of the pictures of --truth, where they are not beside it.
+    /// Folder of the images of --truth, if they are not next to it.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// Folder of data sets, searched before the usual ones. May be given again.
+    /// Folder of data sets, searched before the default ones; repeatable.
     #[arg(long, value_name = "DIR")]
     data: Vec<PathBuf>,
-    /// Sets a parameter of the node, as in a graph file. May be given again.
+    /// Sets a parameter of the node, as in a graph file. Repeatable.
     #[arg(long, value_name = "PARAM=VALUE")]
     set: Vec<String>,
-    /// Judges the same finds with another program, and fails where figures differ in the fourth decimal.
+    /// Evaluates the same detections with another program, and fails if figures differ in the fourth decimal.
     #[arg(long, value_enum, value_name = "PROGRAM")]
     selfcheck: Option<SelfCheck>,
     /// Python of --selfcheck.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
-    /// Folder for pictures: curves, confusions, reliability diagrams, contact sheets of the worst misses.
+    /// Folder for images: curves, confusions, reliability diagrams, contact sheets of the worst misses.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Writes tables 5.1 to 5.5 of the thesis as Markdown; `-` shows them.
@@ -111,7 +114,7 @@ impl Arguments {
     }
 }
 
-/// Judges, and writes the thesis's tables where they are asked for.
+/// Evaluates, and writes the thesis's tables if requested.
 pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>> {
     if let Some(predictions) = &arguments.folds {
         let options = folds::Options {

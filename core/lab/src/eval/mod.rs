@@ -1,4 +1,4 @@
-//! `panoscope eval`: how good the results are, beside truth and peers.
+//! `panoscope eval`: quality of results, compared with ground truth and peers.
 
 mod arm;
 mod calibrate;
@@ -20,32 +20,32 @@ use crate::session::Terminal;
 use panoscope_cli::End;
 use panoscope_cli::terminal::{log, raw};
 
-/// What is judged.
+/// Evaluations.
 #[derive(clap::Subcommand)]
 pub enum Eval {
-    /// SURF beside OpenCV's SIFT and AKAZE on two photographs of a wall under a known homography.
+    /// SURF compared with OpenCV's SIFT and AKAZE on two photographs of a wall under a known homography.
     Surf(surf::Arguments),
-    /// The panorama of a graph beside the truth.
+    /// The panorama of a graph compared with ground truth.
     Stitch(stitch::Arguments),
-    /// A mosaic from one moving camera beside the truth, with loop closure and without.
+    /// A mosaic from one moving camera compared with ground truth, with and without loop closure.
     Mosaic(mosaic::Arguments),
-    /// Disparity beside true disparities and surfaces, and left beside right.
+    /// Disparity compared with true disparities and surfaces, and left with right.
     Disparity(disparity::Arguments),
-    /// Calibration beside OpenCV's sample and beside the phantom's truth.
+    /// Calibration compared with OpenCV's sample and with the phantom's ground truth.
     Calibrate(calibrate::Arguments),
-    /// Detectors and segmenters beside true boxes, outlines and tips.
+    /// Detectors and segmenters compared with true boxes, outlines and tips.
     Detect(detect::Arguments),
     /// The arm: closed loop on moving tips, limits against hostile inputs, time of the control.
     Arm(arm::Arguments),
-    /// Surgical skill: a report of tracks of tips, or the measures beside motions that are known in closed form.
+    /// Surgical skill: a report of tracks of tips, or the measures compared with motions known in closed form.
     Skill(skill::Arguments),
-    /// False and missed warnings near tissue and other tips, beside the phantom's exact distances.
+    /// False and missed warnings near tissue and other tips, compared with the phantom's exact distances.
     Proximity(proximity::Arguments),
-    /// A graph's screen: share of the main picture, dead area, surface that is cut off, depths beyond the colours.
+    /// A graph's screen: share of the main image, dead area, cut surface, depths beyond the colours.
     Screen(screen::Arguments),
 }
 
-/// Judges, and shows and writes the figures.
+/// Evaluates, and shows and writes the figures.
 pub fn run(eval: &Eval) -> Result<End> {
     panoscope_cli::interrupt::listen();
     if let Eval::Skill(arguments) = eval
@@ -65,7 +65,7 @@ pub fn run(eval: &Eval) -> Result<End> {
     Ok(End::Done)
 }
 
-/// The figures, if there are any, and where they are written.
+/// The figures, if there are any, and their file.
 fn judge(eval: &Eval) -> Result<(Option<Vec<figures::Figure>>, &Option<PathBuf>)> {
     let session = &Terminal;
     Ok(match eval {
@@ -86,7 +86,7 @@ fn judge(eval: &Eval) -> Result<(Option<Vec<figures::Figure>>, &Option<PathBuf>)
     })
 }
 
-/// Shows an error of the arguments or the graph; every other error is the caller's.
+/// Shows an error of the arguments or the graph; returns every other error.
 fn refused(error: anyhow::Error) -> Result<End> {
     match error.downcast_ref::<EvalError>() {
         Some(EvalError::Check { diagnostics }) => raw(&diagnostics.render(false)),

@@ -7,13 +7,13 @@ use panoscope_eval::eval::mosaic::{self, Options};
 /// Arguments of `eval mosaic`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Only these scenes; may be given again. Without it all.
+    /// Scenes to run; repeatable. Default: all.
     #[arg(long, value_parser = mosaic::SCENES)]
     scene: Vec<String>,
-    /// Maps between keyframes.
+    /// Model of the maps between keyframes.
     #[arg(long, default_value_t = mosaic::Options::default().model, value_parser = ["homography", "affine", "similarity"])]
     model: String,
-    /// Laps of the path; drift is taken over the last one.
+    /// Laps of the path; drift is measured over the last one.
     #[arg(long, default_value_t = mosaic::Options::default().laps, value_parser = clap::value_parser!(u32).range(1..=20))]
     laps: u32,
     /// Diameter of the path, mm.
@@ -25,7 +25,7 @@ pub struct Arguments {
     /// Mean distance of the tissue, mm.
     #[arg(long, default_value_t = mosaic::Options::default().distance_mm)]
     distance_mm: f64,
-    /// Width of the camera's pictures, px.
+    /// Width of the camera's images, px.
     #[arg(long, default_value_t = mosaic::Options::default().width, value_parser = clap::value_parser!(u32).range(160..=1920))]
     width: u32,
     /// Seed of the scenes.
@@ -43,7 +43,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { scene, model, laps, path_mm, speed_mm_s, distance_mm, width, seed, pictures, plot, .. } = self;
         Options {

@@ -7,16 +7,16 @@ use panoscope_eval::eval::proximity::{self, Options};
 /// Arguments of `eval proximity`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Only these ways to know depth and instruments; may be given again. Without it all.
+    /// Sources of depth and instruments; repeatable. Default: all.
     #[arg(long, value_parser = proximity::CHAINS)]
     chain: Vec<String>,
-    /// Only these scenes; may be given again. Without it both.
+    /// Scenes to run; repeatable. Default: both.
     #[arg(long, value_parser = proximity::SCENES)]
     scene: Vec<String>,
     /// Length of each run, s of media time.
     #[arg(long, default_value_t = proximity::Options::default().seconds, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
-    /// Width of the phantom's pictures, px.
+    /// Width of the phantom's images, px.
     #[arg(long, default_value_t = proximity::Options::default().width, value_parser = clap::value_parser!(u32).range(160..=1920))]
     width: u32,
     /// Mean distance of the tissue, mm: the nearer, the closer to it the instruments work.
@@ -31,7 +31,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { chain, scene, seconds, width, distance_mm, seed, .. } = self;
         Options {

@@ -11,13 +11,13 @@ use panoscope_cli::given::Given;
 pub struct Arguments {
     /// Graph with a `screen`.
     graph: PathBuf,
-    /// Number of pictures.
+    /// Number of images.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     frames: u64,
-    /// Folder for the screen of each picture, as PNG.
+    /// Folder for the screen of each image, as PNG.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// Sets a parameter; wins over the file. May be given again.
+    /// Sets a parameter; overrides the file; repeatable.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
@@ -28,7 +28,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         Options {
             graph: self.graph.clone(),

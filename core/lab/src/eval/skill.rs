@@ -13,14 +13,16 @@ use panoscope_cli::terminal::{log, raw};
 /// Arguments of `eval skill`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which reports touches too), or tips, as `write_table` writes them
-    /// (.csv, .jsonl). Without any, the measures are judged beside motions that are known in closed form.
+    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which reports touches too), or tips,
+    /// written by `write_table` (.csv, .jsonl). Without files, the measures are compared with motions known in closed
+    /// form.
     #[arg(value_name = "TRACK")]
     pub files: Vec<PathBuf>,
     /// Writes the report as a page with plots.
     #[arg(long, value_name = "FILE.html")]
     html: Option<PathBuf>,
-    /// Phases of the operation, a line each: begin in s of capture time, comma, name. By default the column `phase` or `text` of the tracks.
+    /// Phases of the operation, one per line: start in s of capture time, comma, name. By default the column `phase` or
+    /// `text` of the tracks.
     #[arg(long, value_name = "FILE.csv")]
     phases: Option<PathBuf>,
     /// Names of the classes by their numbers, separated by commas.
@@ -32,7 +34,7 @@ pub struct Arguments {
     /// Speed below which a tool rests, mm/s.
     #[arg(long, default_value_t = skill::Options::default().rest_mm_s)]
     rest_mm_s: f64,
-    /// Longest time between two tips that is bridged, ms.
+    /// Maximum time between two tips that is bridged, ms.
     #[arg(long, default_value_t = skill::Options::default().max_gap_ms)]
     max_gap_ms: f64,
     /// Writes the report, or the figures, as JSON.
@@ -54,7 +56,7 @@ impl Arguments {
     }
 }
 
-/// Judges the measures beside known motions; `None` if the arguments need a track.
+/// Compares the measures with known motions; `None` if the arguments need a track.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
     if arguments.html.is_some() || arguments.phases.is_some() {
         log!("error: `--html` and `--phases` need a track: `panoscope eval skill out/skill_tip.csv --html skill.html`");
@@ -63,7 +65,7 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
     Ok(Some(skill::judge(&arguments.options())?))
 }
 
-/// Reads tracks and reports: a table on the terminal, JSON and a page where they are asked for.
+/// Reads tracks and reports: a table on the terminal, JSON and a page if requested.
 pub fn report(session: &dyn Session, arguments: &Arguments) -> Result<End> {
     let study = SkillStudy::read(session, &arguments.options())?;
     raw(&study.table());

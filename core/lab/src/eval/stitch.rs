@@ -15,11 +15,11 @@ pub struct Arguments {
     /// Graph with a composite of two or more views.
     #[arg(required_unless_present_any = ["speeds", "cases"])]
     graph: Option<PathBuf>,
-    /// Which pictures: `own` are the graph's; `cut` real frames cut into two views; `hamlyn` real stereo pairs; `leuven` two
-    /// photographs. May be given again; `own` without it.
+    /// Source of images: `own`, the graph's; `cut`, real frames cut into two views; `hamlyn`, real stereo pairs;
+    /// `leuven`, two photographs. Repeatable. Default: `own`.
     #[arg(long, value_parser = stitch::CASES)]
     case: Vec<String>,
-    /// Folder of data sets, searched before the usual ones. May be given again.
+    /// Folder of data sets, searched before the default ones; repeatable.
     #[arg(long, value_name = "DIR")]
     data: Vec<PathBuf>,
     /// Writes the figures as JSON.
@@ -28,21 +28,21 @@ pub struct Arguments {
     /// Draws alignment and likeness over time.
     #[arg(long, value_name = "FILE.png")]
     plot: Option<PathBuf>,
-    /// Writes a row for every tick as CSV, one file per judge: FILE becomes FILE-composite.csv.
+    /// Writes a row for every tick as CSV, one file per evaluation: FILE becomes FILE-composite.csv.
     #[arg(long, value_name = "FILE")]
     rows: Option<PathBuf>,
     /// Ticks of each run.
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(12..))]
     frames: u64,
-    /// Sets a parameter; wins over the file. May be given again.
+    /// Sets a parameter; overrides the file; repeatable.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
     #[command(flatten)]
     given: Given,
-    /// Leaves out what the graph is compared with: OpenCV's conventional pipeline and as-projective-as-possible warps.
+    /// Skips the peers of the graph: OpenCV's conventional pipeline and as-projective-as-possible warps.
     #[arg(long)]
     no_peer: bool,
-    /// Leaves out the runs with views that hold still and with incidents, which take most of the time.
+    /// Skips the runs with still views and with incidents, which take most of the time.
     #[arg(long, conflicts_with_all = ["fov", "speeds", "cases"])]
     brief: bool,
     /// Writes the last panorama of each case, with those of its peers below it, into this folder.
@@ -54,18 +54,19 @@ pub struct Arguments {
     sweeps: Sweeps,
 }
 
-/// Graphs side by side on the same pictures of the phantom; `--set scope.PARAM=VALUE` sets a parameter of the phantom.
+/// Graphs side by side on the same images of the phantom; `--set scope.PARAM=VALUE` sets a parameter of the phantom.
 #[derive(clap::Args)]
 struct Sweeps {
-    /// Sweeps the speed of the cameras, cm/s, as `1,2.5,10` or `0.5..10` or `0.5..10:0.5`: share of stitched frames and alignment of each
-    /// graph; of our conventional, ROI and grid and the thesis's chapters 2 and 4 when no graph is given.
+    /// Sweeps the speed of the cameras, cm/s, as `1,2.5,10` or `0.5..10` or `0.5..10:0.5`: share of stitched frames and
+    /// alignment of each graph; of our conventional, ROI and grid and the thesis's chapters 2 and 4 when no graph is
+    /// given.
     #[arg(long, value_name = "LIST", conflicts_with_all = ["case", "rows"])]
     speeds: Option<SpeedList>,
-    /// Judges each graph on hard pictures (few features, smoke, blur, low light, real pairs): share of stitched frames, alignment, time,
-    /// jitter; the thesis's chapters 2 and 4 and our ROI and grid when no graph is given.
+    /// Evaluates each graph on hard images (few features, smoke, blur, low light, real pairs): share of stitched
+    /// frames, alignment, time, jitter; the thesis's chapters 2 and 4 and our ROI and grid when no graph is given.
     #[arg(long, conflicts_with_all = ["case", "rows", "speeds"])]
     cases: bool,
-    /// With `--cases`: only this one. May be given again.
+    /// With `--cases`: only these; repeatable.
     #[arg(long, value_name = "CASE", requires = "cases", value_parser = clap::builder::PossibleValuesParser::new(stitch::cases::known()))]
     only: Vec<String>,
     /// With `--fov`, `--speeds` or `--cases`: further graphs.
@@ -76,8 +77,8 @@ struct Sweeps {
 /// Arguments of `eval stitch --fov`.
 #[derive(clap::Args)]
 struct Fov {
-    /// Field of view: the area of the panorama over that of one view, on the phantom's bowel and liver at each of `--distances`,
-    /// beside the true union of what the cameras see.
+    /// Field of view: the area of the panorama over that of one view, on the phantom's bowel and liver at each of
+    /// `--distances`, compared with the true union of the cameras' views.
     #[arg(long, conflicts_with_all = ["speeds", "cases"])]
     fov: bool,
     /// Distances from the scope to the tissue, mm.
@@ -85,7 +86,7 @@ struct Fov {
     distances: Vec<f64>,
 }
 
-/// Judges as the arguments ask.
+/// Evaluates as requested by the arguments.
 pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>> {
     let Sweeps { speeds, cases, only, more } = &arguments.sweeps;
     let Arguments { set: settings, frames, data, plot, .. } = arguments;
@@ -106,7 +107,7 @@ pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>
             stitch::cases::judge(session, &options)?
         }
         None if !more.is_empty() => {
-            bail!("several graphs are judged with --fov, --speeds or --cases; give one graph without them")
+            bail!("give one graph, or --fov, --speeds or --cases to evaluate several")
         }
         None => {
             let options = stitch::Options {

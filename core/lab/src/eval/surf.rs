@@ -13,13 +13,13 @@ pub struct Arguments {
     /// Folder with graf1.png, graf3.png and H1to3p.xml, when Debian's opencv-doc is not installed.
     #[arg(long, value_name = "FOLDER")]
     data: Option<PathBuf>,
-    /// Sets a parameter of `features_surf`, to see what it does. May be given again.
+    /// Sets a parameter of `features_surf`, to see its effect; repeatable.
     #[arg(long, value_name = "PARAM=VALUE")]
     set: Vec<String>,
 }
 
 impl Arguments {
-    /// What the library judges.
+    /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { data, set, .. } = self;
         Options { data: data.clone(), settings: set.clone() }

@@ -1,4 +1,4 @@
-//! Data sets: reading texts of them, and building them.
+//! Reads and builds data sets.
 
 use dicom_core::value::{DataSetSequence, PrimitiveValue};
 use dicom_core::{DataElement, Tag, VR};
@@ -8,7 +8,7 @@ use dicom_object::mem::InMemElement;
 /// A data set.
 pub(crate) type Set = InMemDicomObject;
 
-/// An element with a text.
+/// An element with a text value.
 pub(crate) fn text(tag: Tag, vr: VR, value: impl Into<String>) -> InMemElement {
     DataElement::new(tag, vr, PrimitiveValue::from(value.into()))
 }
@@ -39,7 +39,7 @@ pub(crate) fn read(set: &Set, tag: Tag) -> String {
     value.map(|value| value.trim_end_matches('\0').trim().to_owned()).unwrap_or_default()
 }
 
-/// A number of a data set.
+/// A number in a data set; `None` if it is missing.
 pub(crate) fn read_number(set: &Set, tag: Tag) -> Option<u16> {
     set.get(tag)?.to_int::<u16>().ok()
 }

@@ -13,12 +13,12 @@ use crate::lengths::{self, Encoding};
 use crate::part10::{self, MAX_ENTRY_BYTES};
 use crate::uid;
 
-/// What a worklist says of a procedure, taken over as it is into each object of the study.
+/// A procedure in a worklist, copied unchanged into each object of the study.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Entry {
     /// Patient ID.
     pub patient_id: String,
-    /// Who gave out the patient ID.
+    /// Issuer of the patient ID.
     pub patient_id_issuer: String,
     /// Patient's name: family^given^middle^prefix^suffix.
     pub patient_name: String,
@@ -44,7 +44,7 @@ pub struct Entry {
     pub station: String,
 }
 
-/// Texts of the entry itself, with where they are.
+/// Tags of the texts of an entry.
 const FIELDS: [(Tag, VR); 10] = [
     (tags::PATIENT_ID, VR::LO),
     (tags::ISSUER_OF_PATIENT_ID, VR::LO),
@@ -58,7 +58,7 @@ const FIELDS: [(Tag, VR); 10] = [
     (tags::REQUESTED_PROCEDURE_DESCRIPTION, VR::LO),
 ];
 
-/// Which entries a query asks for; empty texts ask for all.
+/// Filter of a worklist query; empty texts match all.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Query {
     /// Modality, such as `ES`.
@@ -93,11 +93,11 @@ impl Entry {
     /// An entry from an encoded data set.
     ///
     /// # Errors
-    /// It is no data set, uses a character set that is not supported, or lacks what identifies patient and study.
+    /// It is not a data set, uses an unsupported character set, or lacks the identification of patient or study.
     pub fn decode(bytes: &[u8], encoding: Encoding) -> Result<Self> {
         let malformed = |problem: String| DicomError::Malformed { what: "a worklist entry".to_owned(), problem };
         if bytes.len() > MAX_ENTRY_BYTES {
-            return Err(malformed(format!("{} bytes; {MAX_ENTRY_BYTES} are the most", bytes.len())));
+            return Err(malformed(format!("{} bytes exceed the limit of {MAX_ENTRY_BYTES}", bytes.len())));
         }
         lengths::check(bytes, encoding).map_err(|error| malformed(error.to_string()))?;
         let syntax = match encoding {
@@ -108,7 +108,7 @@ impl Entry {
         Self::of(&decoded)
     }
 
-    /// An entry from a file: a worklist file as servers keep them, or any DICOM object of the study.
+    /// An entry from a file: a worklist file of a server, or any DICOM object of the study.
     ///
     /// # Errors
     /// As [`Self::decode`]; or the file cannot be read.
@@ -203,10 +203,11 @@ impl Entry {
         [&self.accession, &self.step.0, &self.study].into_iter().any(|own| !own.is_empty() && own == key)
     }
 
-    /// The one entry that `key` names.
+    /// The only entry with `key`.
     ///
     /// # Errors
-    /// None has it, or several: entries are never guessed.
+    ///
+    /// No entry or several entries match; entries are never guessed.
     pub fn choose<'a>(entries: &'a [Self], key: &str) -> Result<&'a Self> {
         let mut named = entries.iter().filter(|entry| entry.has_key(key));
         match (named.next(), named.count()) {

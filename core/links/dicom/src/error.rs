@@ -1,20 +1,20 @@
-//! Errors.
+//! Errors of this crate.
 
 use std::io;
 use std::path::PathBuf;
 
-/// Why an object was not made, kept or sent.
+/// An object that was not made, kept or sent.
 #[derive(Debug, thiserror::Error)]
 pub enum DicomError {
-    /// Bytes from outside that are no DICOM, or no DICOM that is read here.
+    /// Input that is not DICOM, or not supported DICOM.
     #[error("{what}: {problem}")]
     Malformed {
-        /// What they were to be.
+        /// Expected content.
         what: String,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
-    /// A worklist entry without what identifies a study.
+    /// A worklist entry without the identification of a study.
     #[error("the worklist entry cannot be used: {problem}")]
     Entry {
         /// What is missing.
@@ -25,7 +25,7 @@ pub enum DicomError {
     Choice {
         /// The key.
         key: String,
-        /// How many.
+        /// Number of matching entries.
         count: usize,
         /// What to do.
         help: &'static str,
@@ -35,7 +35,7 @@ pub enum DicomError {
     Input {
         /// The file.
         file: PathBuf,
-        /// Why.
+        /// Reason.
         problem: String,
     },
     /// A file that cannot be read.
@@ -47,14 +47,14 @@ pub enum DicomError {
         cause: io::Error,
     },
     /// An object that cannot be kept in the outbox.
-    #[error("{} cannot be written: {cause}; nothing was exported, all originals are as they were", file.display())]
+    #[error("{} cannot be written: {cause}; nothing was exported and all originals are unchanged", file.display())]
     Write {
         /// The file.
         file: PathBuf,
         /// The operating system's error.
         cause: io::Error,
     },
-    /// Nobody listens there.
+    /// Nothing listens at the address.
     #[error("{peer} cannot be reached: {cause}; is the address right, and does the server run?")]
     Unreachable {
         /// Address.
@@ -76,7 +76,7 @@ pub enum DicomError {
         /// Its reason.
         reason: String,
     },
-    /// The server offers no such service.
+    /// The server does not offer the service.
     #[error("{peer} does not offer {service}")]
     NoService {
         /// Address.
@@ -84,7 +84,7 @@ pub enum DicomError {
         /// The service.
         service: String,
     },
-    /// The connection broke, or what came is malformed.
+    /// The connection broke, or a message is malformed.
     #[error("{peer}: {problem}")]
     Broken {
         /// Address.
@@ -106,10 +106,10 @@ pub enum DicomError {
     },
 }
 
-/// A shorthand.
+/// Result of this crate.
 pub type Result<T, E = DicomError> = std::result::Result<T, E>;
 
-/// An error with what caused it, in one line.
+/// An error with its causes, in one line.
 pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();

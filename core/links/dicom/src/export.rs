@@ -8,17 +8,17 @@ use crate::error::{DicomError, Result};
 use crate::object::{Clip, Group, Lengths, Region, Report, Still, Study};
 use crate::part10::Pending;
 
-/// Endings of files that are exported.
+/// Extensions of exported stills.
 const STILLS: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
 const CLIPS: [&str; 5] = ["mkv", "mp4", "mov", "webm", "avi"];
 const LENGTHS: [&str; 1] = ["jsonl"];
 /// Maximum number of files of one export.
 const MAX_FILES: usize = 10_000;
 
-/// What a file is.
+/// Kind of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A picture.
+    /// A still image.
     Still,
     /// A video.
     Clip,
@@ -27,7 +27,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// What a file is, by its ending; `None` for files that are not exported.
+    /// Kind of a file by its extension; `None` for files that are not exported.
     pub fn of(file: &Path) -> Option<Self> {
         let ending = file.extension()?.to_str()?.to_ascii_lowercase();
         [(&STILLS[..], Self::Still), (&CLIPS, Self::Clip), (&LENGTHS, Self::Lengths)]
@@ -41,14 +41,14 @@ impl Kind {
 pub struct Input {
     /// The file.
     pub file: PathBuf,
-    /// What it is.
+    /// Kind of the file.
     pub kind: Kind,
 }
 
-/// The files that are exported: those that are named, and those in folders that are named; sorted, each once.
+/// The files to export: the named files and those in named folders; sorted, without duplicates.
 ///
 /// # Errors
-/// A named file is none that can be exported, or a folder cannot be read or has none.
+/// A named file cannot be exported, or a folder cannot be read or has none.
 pub fn inputs(named: &[PathBuf]) -> Result<Vec<Input>> {
     let mut all = BTreeMap::new();
     for path in named {
@@ -72,7 +72,7 @@ pub fn inputs(named: &[PathBuf]) -> Result<Vec<Input>> {
             }
         }
         if all.len() == before {
-            return Err(wrong("it holds no stills, clips or measurements"));
+            return Err(wrong("it has no stills, clips or measurements"));
         }
     }
     if all.len() > MAX_FILES {
@@ -82,9 +82,11 @@ pub fn inputs(named: &[PathBuf]) -> Result<Vec<Input>> {
     Ok(all.into_iter().map(|(file, kind)| Input { file, kind }).collect())
 }
 
-/// Makes an object of each file, and one report of all measurements, in `folder`. `mp4_of` gives the MP4 file of a clip.
+/// Makes an object from each file, and one report from all measurements, in `folder`. `mp4_of` gives the MP4 file of a
+/// clip.
 ///
-/// All objects appear together at the end. Objects of one study and the same content have the same UID, whenever they are made.
+/// All objects appear together at the end. Objects of one study and the same content have the same UID, whenever they
+/// are exported.
 ///
 /// # Errors
 /// A file cannot be exported, or the disk is full: then nothing is exported.

@@ -1,11 +1,11 @@
-//! Lengths in encoded data sets, checked before anything is made of them.
+//! Lengths in encoded data sets, checked before they are used.
 //!
-//! The decoder makes room for what an element says it holds. Here each length is compared with the bytes that are there, and the depth of
-//! sequences is limited.
+//! The decoder allocates the length that an element states. Here each length is compared with the available bytes, and
+//! the depth of sequences is limited.
 
-/// Deepest nesting of sequences.
+/// Maximum nesting of sequences.
 const MAX_DEPTH: usize = 16;
-/// A length that is not said: the element ends at a delimiter.
+/// An unspecified length: the element ends at a delimiter.
 const UNDEFINED: u32 = u32::MAX;
 /// VRs of explicit syntaxes whose length has four bytes, after two of padding.
 const LONG_VRS: [&[u8; 2]; 13] =
@@ -14,41 +14,41 @@ const ITEM: (u16, u16) = (0xFFFE, 0xE000);
 const ITEM_END: (u16, u16) = (0xFFFE, 0xE00D);
 const SEQUENCE_END: (u16, u16) = (0xFFFE, 0xE0DD);
 
-/// How a data set is encoded, little endian.
+/// Encoding of a data set, little endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// Without value representations.
     Implicit,
-    /// With them.
+    /// With value representations.
     Explicit,
 }
 
-/// A length or a head that does not fit the bytes around it.
+/// A length or a head that exceeds the enclosing bytes.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum LengthError {
     /// A value is longer than the rest of the bytes.
-    #[error("at byte {at}: {announced} bytes are announced, {left} are there")]
+    #[error("at byte {at}: {announced} bytes are announced, but only {left} follow")]
     Announced { at: usize, announced: usize, left: usize },
-    /// The head of an element begins inside an item and ends outside of it.
+    /// The head of an element begins inside an item and ends after it.
     #[error("at byte {at}: an element reaches beyond its item")]
     BeyondItem { at: usize },
     /// More than [`MAX_DEPTH`] sequences inside each other.
     #[error("at byte {at}: sequences are nested more than {MAX_DEPTH} deep")]
     TooDeep { at: usize },
-    /// An item where an element belongs.
+    /// An item in place of an element.
     #[error("at byte {at}: an item outside a sequence")]
     LoneItem { at: usize },
     /// Two bytes that are not capital letters.
-    #[error("at byte {at}: {vr:02x?} is no value representation")]
+    #[error("at byte {at}: {vr:02x?} is not a value representation")]
     Representation { at: usize, vr: [u8; 2] },
     /// An item of undefined length without a delimiter.
     #[error("at byte {at}: an item does not end")]
     OpenItem { at: usize },
     /// An item is longer than the rest of its sequence.
-    #[error("at byte {at}: an item of {length} bytes, {left} are there")]
+    #[error("at byte {at}: an item has {length} bytes, but only {left} follow")]
     LongItem { at: usize, length: u32, left: usize },
-    /// An element where an item belongs.
+    /// An element in place of an item.
     #[error("at byte {at}: an item was expected")]
     NoItem { at: usize },
     /// A sequence of undefined length without a delimiter.
@@ -62,10 +62,11 @@ struct Walk<'a> {
     encoding: Encoding,
 }
 
-/// Whether all lengths of a data set lie inside it.
+/// Checks that all lengths of a data set are inside it.
 ///
 /// # Errors
-/// What is wrong, and at which byte.
+///
+/// The mistake and its offset.
 pub fn check(bytes: &[u8], encoding: Encoding) -> Result<(), LengthError> {
     let mut walk = Walk { bytes, at: 0, encoding };
     walk.elements(bytes.len(), false, 0)
@@ -80,7 +81,7 @@ impl Walk<'_> {
         Ok(&self.bytes[at..end])
     }
 
-    /// A head that was read does not reach beyond the item around it.
+    /// Checks that a head does not extend beyond the enclosing item.
     fn inside(&self, end: usize) -> Result<(), LengthError> {
         if self.at <= end { Ok(()) } else { Err(LengthError::BeyondItem { at: end }) }
     }

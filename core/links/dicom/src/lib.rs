@@ -8,8 +8,8 @@
 //! | [`net`] | echo, worklist query and storage over the network |
 //! | [`outbox`] | a folder of objects that wait to be sent |
 //!
-//! Nothing here knows a graph. Names of files are UIDs; nothing of an entry is written anywhere but into the objects. Bytes from the network and
-//! from files are checked before anything is made of them: lengths lie inside what has come, and are capped.
+//! This crate does not know graphs. File names are UIDs; identities are written only into objects. Bytes from the
+//! network and from files are checked before use: lengths lie inside what has come, and are capped.
 
 mod element;
 pub mod entry;
@@ -26,7 +26,7 @@ pub mod uid;
 pub use entry::{Entry, Query};
 pub use error::{DicomError, Result};
 
-/// The date of today here, `YYYYMMDD`.
+/// Today's local date, `YYYYMMDD`.
 pub fn today() -> String {
     time::Moment::now().date
 }

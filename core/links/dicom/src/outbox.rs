@@ -1,4 +1,4 @@
-//! A folder of objects that wait to be sent. An object leaves it only when a server has confirmed that it stored it.
+//! A folder of objects that wait to be sent. An object is removed only when a server has confirmed its storage.
 
 use std::fs::{self, File};
 use std::io;
@@ -9,7 +9,7 @@ use crate::error::{DicomError, Result};
 use crate::net::{self, Object, Peer};
 use crate::part10::Head;
 
-/// What became of the objects of an outbox.
+/// Result of sending the objects of an outbox.
 #[derive(Debug, Default)]
 pub struct Sent {
     /// Number of objects that the server stored.
@@ -18,7 +18,7 @@ pub struct Sent {
     pub kept: Vec<(PathBuf, DicomError)>,
 }
 
-/// Creates a folder that only its owner may look into.
+/// Creates a folder that only its owner may access.
 ///
 /// # Errors
 /// It cannot be created.
@@ -47,7 +47,7 @@ fn is_hidden(file: &Path) -> bool {
 /// Sends all objects of a folder; those that the server has stored are removed unless `keep` says otherwise.
 ///
 /// # Errors
-/// The server cannot be asked at all; all objects stay.
+/// The server cannot be reached; all objects stay.
 pub fn send(folder: &Path, peer: &Peer, keep: bool) -> Result<Sent> {
     let mut sent = Sent::default();
     let mut heads = Vec::new();

@@ -1,4 +1,4 @@
-//! Files of DICOM objects (PS3.10): their head, and writing them whole or not at all.
+//! Files of DICOM objects (PS3.10): reads heads, and writes files atomically.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -14,20 +14,20 @@ use crate::error::{DicomError, Result, chain};
 use crate::lengths::{self, Encoding, LengthError};
 use crate::uid;
 
-/// Explicit VR little endian, not compressed.
+/// Transfer syntax UID of explicit VR little endian, uncompressed.
 pub const EXPLICIT: &str = "1.2.840.10008.1.2.1";
-/// Implicit VR little endian, not compressed.
+/// Transfer syntax UID of implicit VR little endian, uncompressed.
 pub const IMPLICIT: &str = "1.2.840.10008.1.2";
 /// Maximum number of bytes of a worklist entry.
 pub const MAX_ENTRY_BYTES: usize = 1 << 20;
 /// Maximum number of bytes of a file's head.
 const MAX_HEAD_BYTES: usize = 64 << 10;
-/// Bytes before the head: 128 without meaning, and `DICM`.
+/// Bytes before the head: 128 unused ones and `DICM`.
 const PREAMBLE: usize = 132;
 /// The element that holds the length of the head: tag, UL, 4, and the length.
 const GROUP_LENGTH: [u8; 8] = [0x02, 0x00, 0x00, 0x00, b'U', b'L', 0x04, 0x00];
 
-/// What the head of a file says.
+/// Head of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Head {
     /// SOP class UID.
@@ -40,21 +40,21 @@ pub struct Head {
     pub length: usize,
 }
 
-/// Why a file has no usable head.
+/// A file without a usable head.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum HeadError {
-    /// The file is of another kind.
+    /// The file is not a DICOM file.
     #[error("it is not a DICOM file: `DICM` is not at byte 128")]
     NotDicom,
-    /// The file is cut off.
-    #[error("it ends in its head")]
+    /// The file is truncated.
+    #[error("it ends within its header")]
     Cut,
-    /// The head begins with another element.
-    #[error("its head does not begin with its length")]
+    /// The head does not begin with its length.
+    #[error("its header does not begin with its length")]
     NoLength,
-    /// The head is longer than any that is read.
-    #[error("its head is said to have {length} bytes; {MAX_HEAD_BYTES} are the most")]
+    /// The head is too long.
+    #[error("its header of {length} bytes exceeds the limit of {MAX_HEAD_BYTES}")]
     TooLong { length: usize },
     /// A length inside it is wrong.
     #[error(transparent)]
@@ -63,7 +63,7 @@ pub enum HeadError {
     #[error("{reason}")]
     Decode { reason: String },
     /// An identifier is missing or malformed.
-    #[error("its head has no valid {what}")]
+    #[error("its header has no valid {what}")]
     NoUid { what: &'static str },
     /// The file cannot be read.
     #[error(transparent)]
@@ -71,10 +71,11 @@ pub enum HeadError {
 }
 
 impl Head {
-    /// The head at the start of a file's bytes.
+    /// Parses the head at the start of a file's bytes.
     ///
     /// # Errors
-    /// What is wrong.
+    ///
+    /// The head is missing or malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, HeadError> {
         if bytes.get(PREAMBLE - 4..PREAMBLE) != Some(b"DICM") {
             return Err(HeadError::NotDicom);
@@ -107,7 +108,7 @@ impl Head {
     /// Reads the head of a file and leaves `file` at its data set.
     ///
     /// # Errors
-    /// What is wrong.
+    /// The head is missing or malformed, or the file cannot be read.
     pub fn read(file: &mut File) -> Result<Self, HeadError> {
         let mut bytes = Vec::new();
         Read::by_ref(file).take((PREAMBLE + MAX_HEAD_BYTES) as u64).read_to_end(&mut bytes)?;
@@ -116,7 +117,7 @@ impl Head {
         Ok(head)
     }
 
-    /// How data sets of its transfer syntax are encoded; `None` for those that are neither plain nor encapsulated.
+    /// Encoding of data sets in its transfer syntax; `None` for those that are neither plain nor encapsulated.
     pub fn encoding(&self) -> Option<Encoding> {
         match self.transfer_syntax.as_str() {
             IMPLICIT => Some(Encoding::Implicit),
@@ -126,7 +127,7 @@ impl Head {
     }
 }
 
-/// A small file as bytes.
+/// The bytes of a small file.
 ///
 /// # Errors
 /// It cannot be read, or is too large.
@@ -150,7 +151,7 @@ pub(crate) struct Pending {
 }
 
 impl Pending {
-    /// Makes it visible.
+    /// Makes the object visible and returns its path.
     pub fn keep(mut self) -> Result<PathBuf> {
         let failed = |cause| DicomError::Write { file: self.file.clone(), cause };
         fs::rename(&self.part, &self.file).map_err(failed)?;
@@ -167,10 +168,10 @@ impl Drop for Pending {
     }
 }
 
-/// Writes an object into `folder`, under the name of its SOP instance UID, which tells nothing about a patient. `rest` writes what follows
-/// the elements of `object`, such as pixels that are not held in memory.
+/// Writes an object into `folder`, under the name of its SOP instance UID, which says nothing about the patient. `rest`
+/// writes the data after the elements of `object`, such as pixels that are not held in memory.
 ///
-/// Only the owner of the file may read it.
+/// Only the owner may read the file.
 ///
 /// # Errors
 /// The disk is full, or the folder cannot be written to; nothing of the object is left.
@@ -251,6 +252,6 @@ mod tests {
             assert!(cut.is_err() || end >= head.length, "cut at {end}");
         }
         let error = Head::parse(&[&[0; 128][..], b"DICM", &GROUP_LENGTH, &[0xFF; 4]].concat()).unwrap_err().to_string();
-        assert!(error.contains("are the most"), "{error}");
+        assert!(error.contains("exceeds the limit"), "{error}");
     }
 }

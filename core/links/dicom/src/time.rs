@@ -1,4 +1,4 @@
-//! Dates and times of this place, as DICOM writes them.
+//! Local dates and times in DICOM's format.
 
 use std::time::SystemTime;
 
@@ -7,9 +7,9 @@ use chrono::{DateTime, Local};
 /// A moment in local time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Moment {
-    /// `20260309`.
+    /// Date, such as `20260309`.
     pub date: String,
-    /// `070500.250`.
+    /// Time, such as `070500.250`.
     pub time: String,
     /// Offset from UTC, `+0100`.
     pub offset: String,
@@ -26,7 +26,7 @@ impl Moment {
         }
     }
 
-    /// Now.
+    /// The current moment.
     pub fn now() -> Self {
         Self::of(SystemTime::now())
     }

@@ -8,7 +8,7 @@ pub const IMPLEMENTATION: &str = "2.25.196843317229904168829105853267812350437";
 pub const IMPLEMENTATION_NAME: &str =
     concat!("PANOSCOPE_", env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR"));
 
-/// The UID that belongs to these parts, always the same: what is exported twice has one UID, and a PACS keeps it once.
+/// The UID derived from these parts. It is always the same, so that a PACS keeps an object once that is exported twice.
 ///
 /// It is 2.25 and a UUID of version 8 (RFC 9562) from the SHA-256 of the parts.
 pub fn of(parts: &[&[u8]]) -> String {

@@ -197,7 +197,7 @@ fn an_object_leaves_the_outbox_only_when_it_is_stored() {
             drop(association.send(&Pdu::AbortRQ { source: dicom_ul::pdu::AbortRQSource::ServiceUser }))
         }),
         ("closed", 0, |_| {}),
-        ("without a status", 0, |association| {
+        ("has no status", 0, |association| {
             let mut bytes = response(0x8001, 2, 0, false);
             // The status is the last element, of ten bytes.
             bytes.truncate(bytes.len() - 10);

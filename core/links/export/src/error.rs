@@ -1,18 +1,18 @@
-//! Why a recording was not exported.
+//! Errors of exports.
 
 use std::path::PathBuf;
 
 use panoscope_base::packet::PacketError;
 use panoscope_record::RecordingError;
 
-/// Why the bytes of a packet are no value of its type.
+/// Bytes that are not a valid packet of their type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ValueError {
     /// A packet of the contract that is damaged.
     #[error(transparent)]
     Packet(#[from] PacketError),
-    /// A picture whose rows do not fit its bytes.
-    #[error("a picture of {width}x{height} {format} with {stride_bytes} bytes a row does not fit {len} bytes")]
+    /// An image whose rows do not fit its bytes.
+    #[error("an image of {width}x{height} {format} with {stride_bytes} bytes per row does not match {len} bytes")]
     Picture {
         /// Columns.
         width: u32,
@@ -22,7 +22,7 @@ pub enum ValueError {
         format: &'static str,
         /// Bytes from one row to the next.
         stride_bytes: u32,
-        /// Bytes that are there.
+        /// Actual number of bytes.
         len: usize,
     },
     /// A text that is not UTF-8.
@@ -30,7 +30,7 @@ pub enum ValueError {
     Text,
 }
 
-/// Why a recording was not exported, or not to its end.
+/// A recording that was not exported, or not completely.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     /// A port that is not in the recording.
@@ -38,7 +38,7 @@ pub enum ExportError {
     NoPort {
         /// The recording.
         file: PathBuf,
-        /// What was asked for.
+        /// Requested port.
         port: String,
         /// The ports that it has.
         known: String,
@@ -59,14 +59,14 @@ pub enum ExportError {
         /// The recording.
         file: PathBuf,
     },
-    /// Something is there already.
-    #[error("{} exists: name another one, or replace it with --force", .path.display())]
+    /// The output exists already.
+    #[error("{} already exists: choose another one, or replace it with --force", .path.display())]
     Exists {
         /// The file or folder.
         path: PathBuf,
     },
-    /// The recording would be replaced.
-    #[error("{} is the recording itself: name another file", .path.display())]
+    /// The output is the recording itself.
+    #[error("{} is the recording itself: choose another file", .path.display())]
     IsRecording {
         /// The file.
         path: PathBuf,
@@ -82,14 +82,14 @@ pub enum ExportError {
     /// The recording is damaged.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A packet that is not what its type says.
+    /// A packet that does not match its type.
     #[error("packet {tick} of `{port}`: {cause}; record again with the plugins of this installation")]
     Value {
         /// The port.
         port: String,
         /// The tick.
         tick: u64,
-        /// What is wrong.
+        /// Description of the problem.
         cause: ValueError,
     },
 }

@@ -1,4 +1,4 @@
-//! A recording as a folder of files that every program reads.
+//! A recording as a folder of files in common formats.
 //!
 //! | packets | files |
 //! |---|---|
@@ -9,7 +9,8 @@
 //! | `instances` | a CSV of the boxes, and a PNG per tick with the number of the box in each pixel |
 //! | all others | one CSV: a line per tick, table row or box |
 //!
-//! Every line of a CSV begins with the number of the tick, its source and its capture time; `index.csv` lists what was written.
+//! Every line of a CSV begins with the number of the tick, its source and its capture time; `index.csv` lists all
+//! files.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -30,7 +31,8 @@ use crate::value::{Kind, Picture, Value};
 /// Name of the list of all that was written.
 pub const INDEX: &str = "index.csv";
 
-/// Writes a folder. With `replaces`, files of these names are replaced where the folder is not empty; other files in it stay.
+/// Writes a folder. With `replaces`, a folder that is not empty is accepted: files of the same names are replaced,
+/// other files stay.
 ///
 /// # Errors
 /// The folder is not empty, something cannot be written, or the recording is damaged.
@@ -56,7 +58,7 @@ pub fn write(export: &Export<'_>, folder: &Path, replaces: bool) -> Result<Vec<P
     Ok(reports)
 }
 
-/// The port's name where it can be a path below a folder: parts of graphs are folders.
+/// The port's name as a path below a folder, if it is one; parts of graphs become folders.
 fn file_name(port: &str) -> Option<PathBuf> {
     let is_plain = |part: &str| {
         !part.is_empty()
@@ -84,12 +86,13 @@ fn write_file(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>)
     done().map_err(|cause| failed(path, cause))
 }
 
-/// What is written of one port.
+/// Output of one port.
 struct PortFiles<'p> {
     folder: &'p Path,
     /// Path of the port's files below the folder.
     name: &'p Path,
-    /// Source of the port's first packet. Ticks of another one, after a change of the graph, have its number in their names.
+    /// Source of the port's first packet. Ticks of another source, after a change of the graph, have its number in
+    /// their file names.
     source: u32,
     table: TableFile,
     calibration: Option<Calibration>,

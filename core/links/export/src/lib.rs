@@ -1,9 +1,11 @@
-//! Recordings as files that other programs open, and a running graph for Foxglove ([`live`]).
+//! Recordings as files of other programs, and a running graph for Foxglove ([`live`]).
 //!
-//! [`Export`] selects ports and ticks of a recording and knows what each port holds. [`folder::write`] makes a folder of PNG, NPY, PLY, CSV and
-//! YAML files, [`foxglove::write`] an MCAP file with the schemas of Foxglove; [`foxglove::encode`] gives the same messages of one packet. The Python package writes files of rerun, from the same packets.
+//! [`Export`] selects ports and ticks of a recording and determines the content of each port. [`folder::write`] makes a
+//! folder of PNG, NPY, PLY, CSV and YAML files, [`foxglove::write`] an MCAP file with the schemas of Foxglove;
+//! [`foxglove::encode`] gives the same messages of one packet. The Python package writes files of rerun, from the same
+//! packets.
 //!
-//! Both give a [`PortReport`] per port: what a target cannot show is named there and never missing without a word.
+//! Both give a [`PortReport`] per port: it names everything that a target cannot represent.
 
 mod error;
 pub mod folder;

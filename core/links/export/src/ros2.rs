@@ -11,8 +11,8 @@
 //! | `pose` | `/node/port` | `geometry_msgs/msg/PoseStamped`, m |
 //! | `joints` | `/node/port` | `sensor_msgs/msg/JointState` |
 //!
-//! Other packets have no message in ROS's common packages and are left out; the report says so. Stamps are times of capture, frames end with
-//! `_optical_frame`.
+//! Other packets have no message in ROS's common packages and are left out; the report says so. Stamps are times of
+//! capture, frames end with `_optical_frame`.
 
 use std::path::Path;
 
@@ -27,10 +27,11 @@ use crate::error::ExportError;
 use crate::selection::{Export, Form, Port, PortReport};
 use crate::value::{Kind, Value};
 
-/// What has no message.
+/// Remark about packets without a message type.
 const NO_MESSAGE: &str = "ROS's common packages have no message for it; --folder and --foxglove have it";
 
-/// Writes a bag. It is complete when it has its `metadata.yaml`. With `replaces`, the bag's files are replaced where the folder is not empty.
+/// Writes a bag. It is complete when it has its `metadata.yaml`. With `replaces`, a folder that is not empty is
+/// accepted and the bag's files are replaced.
 ///
 /// # Errors
 /// The folder is not empty, something cannot be written, or the recording is damaged.
@@ -83,7 +84,7 @@ fn calibration(export: &Export<'_>) -> Result<Option<abi::Calibration>, ExportEr
     Ok(None)
 }
 
-/// The optical frame of a picture, by the output's name.
+/// The optical frame of an image, by the output's name.
 fn frame_of(port: &Port<'_>) -> &'static str {
     let output = port.name.rsplit_once('.').map_or(port.name, |(_, output)| output);
     match port.packet.as_str() {
@@ -93,7 +94,7 @@ fn frame_of(port: &Port<'_>) -> &'static str {
     }
 }
 
-/// Where the cameras of a calibration stand: beside the pictures `left` and `right` of its node.
+/// Topics of the cameras of a calibration: next to the images `left` and `right` of its node.
 fn camera_topics(port: &str) -> [String; 2] {
     let beside = match port.rsplit_once('.') {
         Some((node, "calibration")) => names::topic(node),
@@ -102,7 +103,7 @@ fn camera_topics(port: &str) -> [String; 2] {
     ["left", "right"].map(|side| format!("{beside}/{side}/camera_info"))
 }
 
-/// Writes a packet. Returns type and topic; `None` where ROS has no message.
+/// Writes a packet. Returns type and topic; `None` if ROS has no message for it.
 fn put(
     bag: &mut BagWriter,
     port: &Port<'_>,

@@ -9,10 +9,10 @@ use panoscope_record::{Packet, PortTypes, Recording};
 use crate::error::ExportError;
 use crate::value::{Kind, Value};
 
-/// What of a recording is exported.
+/// The selected part of a recording.
 #[derive(Clone, Debug)]
 pub struct Selection {
-    /// Names of ports, `node.output`, or of nodes, which stand for all their outputs. None: all ports.
+    /// Names of ports, `node.output`, or of nodes, which select all their outputs. Empty for all ports.
     pub ports: Vec<String>,
     /// Numbers of the ticks.
     pub ticks: RangeInclusive<u64>,
@@ -29,9 +29,9 @@ impl Default for Selection {
 pub struct Port<'r> {
     /// `node.output`.
     pub name: &'r str,
-    /// Name of the packet type; empty where no plugin here names it.
+    /// Name of the packet type; empty if no plugin here declares it.
     pub packet: String,
-    /// What its packets hold, or why that is not known.
+    /// Kind of its packets, or why it is unknown.
     pub kind: Result<Kind, String>,
     /// The packets, in order of their ticks.
     pub packets: Vec<&'r Packet>,
@@ -53,19 +53,19 @@ impl Port<'_> {
     }
 }
 
-/// How a port is stored in a target, such as `PNG` or `foxglove.PointCloud`.
+/// Format of a port in a target, such as `PNG` or `foxglove.PointCloud`.
 pub type Form = &'static str;
 
-/// What became of a port.
+/// Result of the export of one port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortReport {
     /// `node.output`.
     pub port: String,
-    /// Name of the packet type; empty where it is not known.
+    /// Name of the packet type; empty if unknown.
     pub packet: String,
     /// Number of packets.
     pub packets: usize,
-    /// How and where it is stored, or why it was left out.
+    /// Form and location in the target, or why the port was left out.
     pub outcome: Result<(Form, String), String>,
 }
 
@@ -117,7 +117,7 @@ impl<'r> Export<'r> {
         Ok(Self { recording, ports })
     }
 
-    /// Gives the value of a packet to `take`.
+    /// Passes the value of a packet to `take`.
     ///
     /// # Errors
     /// The packet is damaged, or `take` fails.
@@ -152,7 +152,7 @@ fn is_of(port: &str, wanted: &str) -> bool {
     port.strip_prefix(wanted).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '/']))
 }
 
-/// A path beside another one for a file that is not complete.
+/// Path of an incomplete file, next to the final one.
 pub(crate) fn part_of(path: &Path) -> PathBuf {
     let mut part = path.as_os_str().to_owned();
     part.push(".part");

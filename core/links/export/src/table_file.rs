@@ -40,7 +40,7 @@ impl TableFile {
         self.lines.len()
     }
 
-    /// The file.
+    /// The content of the file.
     pub fn text(&self) -> String {
         let mut out = String::new();
         csv_line(&mut out, &self.columns);

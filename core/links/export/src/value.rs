@@ -8,7 +8,7 @@ use panoscope_record::format::PacketHead;
 
 use crate::error::ValueError;
 
-/// How the bytes of a packet are laid out.
+/// Layout of the bytes of a packet.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     /// One of the contract's `FORMAT_` constants.
@@ -35,7 +35,7 @@ impl From<&abi::Frame> for Layout {
     }
 }
 
-/// What the packets of a port hold.
+/// Kind of the packets of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Pixels: images, masks, disparity, depth, confidence.
@@ -67,7 +67,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind of a packet of this format; plain bytes need the name of their type. `None` for types that are not of the contract.
+    /// The kind of a packet of this format; plain bytes need the name of their type. `None` for types that are not of
+    /// the contract.
     pub fn of(format: u32, packet: Option<&str>) -> Option<Self> {
         match (format, packet) {
             (abi::FORMAT_CLOUD, _) => Some(Self::Cloud),
@@ -112,7 +113,7 @@ pub enum Value<'b> {
     Roi(abi::Roi),
     /// Two cameras.
     Calibration(Box<abi::Calibration>),
-    /// Boxes; with masks where the packet is `instances`.
+    /// Boxes; with masks if the packet is `instances`.
     Detections(Detections<'b>),
     /// Tip of a tool.
     Tip(abi::Tip),
@@ -129,10 +130,9 @@ pub enum Value<'b> {
 }
 
 impl<'b> Value<'b> {
-    /// The value of a packet that has these bytes.
+    /// Decodes the value of a packet.
     ///
-    /// # Errors
-    /// The bytes are no packet of that kind.
+    /// # Errors The bytes are not a packet of that kind.
     pub fn read(kind: Kind, layout: impl Into<Layout>, bytes: &'b [u8]) -> Result<Self, ValueError> {
         let layout = layout.into();
         Ok(match kind {
@@ -198,8 +198,8 @@ impl Picture {
         Ok(Self { format: id, width: columns, height: rows, samples })
     }
 
-    /// Which box of a list of instances each pixel belongs to: 0 for none, 1 for the first one. Later boxes cover earlier ones. `None` without
-    /// masks.
+    /// An image with the number of the instance of each pixel: 0 for none, 1 for the first one. Later boxes cover
+    /// earlier ones. `None` without masks.
     pub fn of_masks(instances: &Detections<'_>) -> Option<Self> {
         // Nothing but masks vouches for the size of the image.
         if instances.mask(0).is_empty() {
@@ -284,7 +284,7 @@ mod tests {
             (head(abi::FORMAT_F32, u32::MAX, u32::MAX, u32::MAX), 8),
         ] {
             let error = Value::read(Kind::Picture, &head, &vec![0; len]).unwrap_err().to_string();
-            assert!(error.contains("does not fit"), "{error}");
+            assert!(error.contains("does not match"), "{error}");
         }
     }
 

@@ -1,9 +1,9 @@
-//! CRC64 of ECMA-182 as OpenIGTLink uses it: most significant bit first, start 0, no final inversion.
+//! CRC64 of ECMA-182 in the variant of OpenIGTLink: most significant bit first, start 0, no final inversion.
 
-/// x^64 is implied.
+/// The polynomial; x^64 is implied.
 const POLYNOMIAL: u64 = 0x42F0_E1EB_A9EA_3693;
 
-/// `TABLES[k][b]`: the CRC of byte `b` followed by `k` zero bytes. With eight tables eight bytes are looked up at once.
+/// `TABLES[k][b]`: the CRC of byte `b` followed by `k` zero bytes. Eight tables process eight bytes at a time.
 static TABLES: [[u64; 256]; 8] = tables();
 
 const fn tables() -> [[u64; 256]; 8] {

@@ -1,6 +1,6 @@
-//! Why bytes are no message, or a message cannot be written.
+//! Errors of this crate.
 
-/// Why bytes are no message, or a message cannot be written.
+/// Bytes that are not a message, or a message that cannot be written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IgtlError {
@@ -9,7 +9,7 @@ pub enum IgtlError {
         "header version {version} is unknown (1, 2 and 3 are): the peer speaks another protocol, or the stream is out of step"
     )]
     Version {
-        /// The number in the header.
+        /// Version in the header.
         version: u16,
     },
     /// The type name in the header is empty or not printable ASCII.
@@ -28,7 +28,7 @@ pub enum IgtlError {
         limit: u64,
     },
     /// The body does not match its CRC64.
-    #[error("a {kind} message was damaged on its way: its CRC64 is {found:016x}, the header says {announced:016x}")]
+    #[error("a {kind} message was damaged in transit: its CRC64 is {found:016x}, the header says {announced:016x}")]
     Crc {
         /// Message type.
         kind: String,
@@ -48,13 +48,13 @@ pub enum IgtlError {
         bytes: usize,
     },
     /// The content has a length that its type does not have.
-    #[error("a {kind} message has {bytes} bytes, {expected} are right")]
+    #[error("a {kind} message has {bytes} bytes, expected {expected}")]
     Length {
         /// Message type.
         kind: &'static str,
         /// Length of the content.
         bytes: usize,
-        /// Lengths that are right, in words.
+        /// Description of the valid lengths.
         expected: String,
     },
     /// A field has a value that it must not have.
@@ -66,11 +66,11 @@ pub enum IgtlError {
         field: &'static str,
         /// Its value.
         value: u64,
-        /// What is right.
+        /// Description of the valid values.
         expected: &'static str,
     },
     /// A text is longer than its field.
-    #[error("`{text}` has {bytes} bytes, {field} holds {limit}: write a shorter one")]
+    #[error("`{text}` has {bytes} bytes, but the limit of {field} is {limit}: shorten it")]
     LongText {
         /// The field.
         field: &'static str,
@@ -81,14 +81,14 @@ pub enum IgtlError {
         /// Length of the field.
         limit: usize,
     },
-    /// There are more entries than a count can say.
-    #[error("{count} {what} are too many for one message ({limit} are the most)")]
+    /// There are more entries than the count field can hold.
+    #[error("{count} {what} exceed the limit of {limit} for one message")]
     TooMany {
-        /// What there are too many of.
+        /// Kind of the entries.
         what: &'static str,
-        /// How many.
+        /// Number of entries.
         count: usize,
-        /// The most.
+        /// Maximum number of entries.
         limit: usize,
     },
 }

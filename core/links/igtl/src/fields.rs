@@ -1,4 +1,4 @@
-//! Reading and writing of big-endian fields with a known place.
+//! Reading and writing of big-endian fields at known positions.
 
 use std::borrow::Cow;
 
@@ -12,12 +12,12 @@ pub struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    /// `kind` is the message type that errors name.
+    /// `kind` is the message type for errors.
     pub fn new(kind: &'static str, bytes: &'a [u8]) -> Self {
         Self { kind, whole: bytes.len(), rest: bytes }
     }
 
-    /// The bytes that were not taken.
+    /// The remaining bytes.
     pub fn rest(&self) -> &'a [u8] {
         self.rest
     }
@@ -72,7 +72,7 @@ impl<'a> Fields<'a> {
         self.take(field, bytes).map(padded)
     }
 
-    /// Checks that everything was taken.
+    /// Checks that no bytes remain.
     pub fn end(&self, expected: impl FnOnce() -> String) -> Result<()> {
         match self.rest.is_empty() {
             true => Ok(()),
@@ -81,7 +81,8 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// The text before the first zero. Bytes that are not UTF-8 become U+FFFD: names in other encodings stay readable in part.
+/// The text before the first zero. Bytes that are not UTF-8 become U+FFFD, so that names in other encodings stay partly
+/// readable.
 pub fn padded(bytes: &[u8]) -> Cow<'_, str> {
     let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
     String::from_utf8_lossy(&bytes[..end])
@@ -102,7 +103,7 @@ pub fn put_floats(out: &mut Vec<u8>, values: &[f32]) {
     values.iter().for_each(|value| out.extend_from_slice(&value.to_be_bytes()));
 }
 
-/// Items of a packed list, read one by one.
+/// Items of a packed list, read one at a time.
 pub fn floats3(bytes: &[u8]) -> impl ExactSizeIterator<Item = [f32; 3]> + '_ {
     bytes.chunks_exact(12).map(|item| {
         let number = |at: usize| f32::from_be_bytes([item[at], item[at + 1], item[at + 2], item[at + 3]]);

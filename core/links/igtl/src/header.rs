@@ -13,10 +13,10 @@ pub const TYPE_BYTES: usize = 12;
 /// Longest device name.
 pub const NAME_BYTES: usize = 20;
 
-/// What stands before a body.
+/// Header of a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header<'a> {
-    /// 1, 2 or 3. From 2 on the body begins with an extended header.
+    /// Version 1, 2 or 3. From version 2 on, the body begins with an extended header.
     pub version: u16,
     /// Message type, such as `TRANSFORM`.
     pub kind: Cow<'a, str>,
@@ -34,7 +34,8 @@ impl<'a> Header<'a> {
     /// Reads the first [`HEADER_BYTES`] of `bytes`.
     ///
     /// # Errors
-    /// There are fewer bytes, the version is unknown, or the type is not printable ASCII: what a stream out of step looks like.
+    /// There are fewer bytes, the version is unknown, or the type is not printable ASCII, as in a stream that is out of
+    /// step.
     pub fn decode(bytes: &'a [u8]) -> Result<Self> {
         let mut fields = Fields::new("header", bytes);
         let version = fields.u16("version")?;

@@ -1,7 +1,7 @@
 //! Extended header and metadata of header versions 2 and 3.
 //!
-//! A body is: extended header (its size, size of the metadata's index, size of the metadata's texts, message number), content, index (count, then
-//! length of the key, encoding, length of the value for each entry), texts.
+//! A body is: extended header (its size, size of the metadata's index, size of the metadata's texts, message number),
+//! content, index (count, then length of the key, encoding, length of the value for each entry), texts.
 
 use std::borrow::Cow;
 
@@ -25,7 +25,7 @@ pub struct Parts<'a> {
     pub metadata: Vec<Entry<'a>>,
 }
 
-/// Takes the body of a message of version 2 or 3 apart.
+/// Splits the body of a message of version 2 or 3.
 pub fn split(body: &[u8]) -> Result<Parts<'_>> {
     let mut fields = Fields::new(KIND, body);
     let extended = fields.u16("extended header")?;

@@ -1,4 +1,4 @@
-//! The messages of a stream of bytes.
+//! Finds messages in a stream of bytes.
 
 use std::io::{self, Read};
 
@@ -7,17 +7,17 @@ use crate::error::{IgtlError, Result};
 use crate::header::{HEADER_BYTES, Header};
 use crate::message::Message;
 
-/// Largest body that is read unless a [`Reader`] is told otherwise: a picture of 8192 x 8192 px with four bytes each.
+/// Default limit of a body, bytes: an image of 8192 x 8192 px with four bytes each.
 pub const DEFAULT_BODY_LIMIT: u64 = 256 << 20;
 
-/// Bytes that are asked for at least.
+/// Minimum number of bytes per read.
 const MIN_VALUE: usize = 64 << 10;
-/// Bytes that are asked for at most: a peer that announces much and sends little costs little.
+/// Maximum number of bytes per read, so that memory grows only with received data.
 const MAX_COUNT: usize = 1 << 20;
-/// A buffer that grew beyond this is given back when it is empty.
+/// Size above which an empty buffer is freed, bytes.
 const KEPT: usize = 64 << 20;
 
-/// Header and body as they arrived, with a CRC that fits.
+/// Received header and body with a valid CRC.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Raw<'a> {
     /// The header.
@@ -29,7 +29,9 @@ pub struct Raw<'a> {
 }
 
 impl<'a> Raw<'a> {
-    /// The message.
+    /// Decodes the message.
+    ///
+    ///
     ///
     /// # Errors
     /// The body does not fit the type.
@@ -38,7 +40,7 @@ impl<'a> Raw<'a> {
     }
 }
 
-/// Finds the messages in the bytes of a connection. Holds one message at a time, and grows only as bytes arrive.
+/// Finds the messages in the bytes of a connection. Stores one message at a time and grows only with received bytes.
 #[derive(Debug)]
 pub struct Reader {
     buffer: Vec<u8>,
@@ -66,7 +68,7 @@ impl Reader {
     /// Reads once from a connection. Returns the number of bytes; 0 at its end.
     ///
     /// # Errors
-    /// Those of the connection.
+    /// Any error of the connection.
     pub fn fill(&mut self, from: &mut impl Read) -> io::Result<usize> {
         let space = self.space();
         let count = from.read(space)?.min(space.len());
@@ -74,7 +76,7 @@ impl Reader {
         Ok(count)
     }
 
-    /// Room for the next bytes.
+    /// Free space for the next bytes.
     fn space(&mut self) -> &mut [u8] {
         self.start += std::mem::take(&mut self.returned);
         let held = self.end - self.start;
@@ -95,16 +97,17 @@ impl Reader {
         &mut self.buffer[held..held + room]
     }
 
-    /// Length of the message at the start of the buffer, where its header is complete.
+    /// Length of the message at the start of the buffer, if its header is complete.
     fn announced(&self) -> Option<u64> {
         let header = Header::decode(self.buffer[self.start..self.end].get(..HEADER_BYTES)?).ok()?;
         header.body_bytes.checked_add(HEADER_BYTES as u64)
     }
 
-    /// The next whole message; `None` until more bytes were read.
+    /// The next complete message; `None` until more bytes are read.
     ///
     /// # Errors
-    /// [`IgtlError::Crc`] loses that message only. After any other error the stream cannot be followed: see [`Self::is_broken`].
+    /// [`IgtlError::Crc`] loses that message only. After any other error the stream cannot be followed: see
+    /// [`Self::is_broken`].
     pub fn next_message(&mut self) -> Result<Option<Raw<'_>>> {
         if self.is_broken {
             return Ok(None);
@@ -137,7 +140,7 @@ impl Reader {
         Ok(Some(Raw { header, body, bytes }))
     }
 
-    /// Whether the stream cannot be followed any further: its connection has to be closed.
+    /// Whether the stream can no longer be parsed; its connection must be closed.
     pub fn is_broken(&self) -> bool {
         self.is_broken
     }

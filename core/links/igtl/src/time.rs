@@ -14,7 +14,8 @@ pub struct Timestamp {
 }
 
 impl Timestamp {
-    /// The time `ns` after 1970, rounded down to 0.23 ns. Times that the format does not hold (before 1970, after 2106) become its ends.
+    /// The time `ns` after 1970, rounded down to 0.23 ns. Times outside the format (before 1970, after 2106) are
+    /// clamped.
     pub fn from_unix_ns(ns: i128) -> Self {
         let ns = ns.max(0) as u128;
         match u32::try_from(ns / NS) {
@@ -39,7 +40,7 @@ impl Timestamp {
         self == Self::default()
     }
 
-    /// As one number, the way it travels.
+    /// As one number in the message's encoding.
     pub fn to_bits(self) -> u64 {
         u64::from(self.seconds) << 32 | u64::from(self.fraction)
     }

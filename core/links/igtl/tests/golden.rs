@@ -1,4 +1,5 @@
-//! Our bytes are those of the OpenIGTLink library and of pyigtl, byte for byte, and theirs are read as what was written.
+//! Our bytes are those of the OpenIGTLink library and of pyigtl, byte for byte, and theirs are read as what was
+//! written.
 
 use std::path::Path;
 use std::process::Command;

@@ -1,6 +1,8 @@
-//! Malformed messages: whatever arrives, the codec neither panics nor reads past an end, and what it accepts it can write.
+//! Malformed messages: whatever arrives, the codec neither panics nor reads past an end, and what it accepts it can
+//! write.
 //!
-//! `PANOSCOPE_IGTL_CASES` sets the number of messages, `PANOSCOPE_IGTL_SEED` picks other ones. Ten million take minutes with `--release`.
+//! `PANOSCOPE_IGTL_CASES` sets the number of messages, `PANOSCOPE_IGTL_SEED` picks other ones. Ten million take minutes
+//! with `--release`.
 
 use crate::common;
 use panoscope_base::random::SplitMix64;

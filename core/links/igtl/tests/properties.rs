@@ -1,5 +1,5 @@
-//! What holds for every message: it survives being written and read, no part of it is taken for the whole, and a stream reads the same however it is
-//! cut.
+//! What holds for every message: it survives being written and read, no part of it is taken for the whole, and a stream
+//! reads the same however it is cut.
 
 use crate::common;
 use std::io::Read;

@@ -1,4 +1,4 @@
-//! Packets to a file, for containers that GStreamer writes.
+//! Writes packets to containers through GStreamer.
 
 use std::path::Path;
 
@@ -9,13 +9,13 @@ use gstreamer_app::AppSrc;
 use crate::elements::make;
 use crate::{MediaError, Packet};
 
-/// Compressed bytes that may wait for the disk, before a push waits.
+/// Maximum number of compressed bytes that wait for the disk; then a push waits.
 const WAITING_BYTES: u64 = 8 << 20;
 
-/// How long the only picture of a file is shown.
+/// Duration of the only image of a file.
 const FIRST_DURATION: ClockTime = ClockTime::from_mseconds(33);
 
-/// Longest wait for the end of a file, s: a disk that takes longer has failed.
+/// Maximum wait for the end of a file, s; a slower disk counts as failed.
 const END_WAIT_S: u64 = 120;
 
 /// Containers with an index that is written at the end: a crash leaves them unplayable.
@@ -29,12 +29,12 @@ pub enum Container {
     Mov,
 }
 
-/// A file that is being written, in threads of its own.
+/// A file that is being written, in separate threads.
 pub struct ContainerFile {
     pipeline: Pipeline,
     source: AppSrc,
     bus: Bus,
-    /// The newest packet, whose duration the next one tells.
+    /// The newest packet, whose duration follows from the next one.
     held: Option<Packet>,
     duration: ClockTime,
     has_failed: bool,
@@ -84,7 +84,7 @@ impl ContainerFile {
         Ok(file)
     }
 
-    /// Appends a packet; times grow. It is written when the next one has come.
+    /// Appends a packet; times must increase. It is written when the next one arrives.
     ///
     /// # Errors
     /// The file could not be written, also of earlier packets.
@@ -95,7 +95,7 @@ impl ContainerFile {
         result
     }
 
-    /// Hands the packet that is held to the muxer, to be shown until `next`, or for as long as the one before.
+    /// Passes the held packet to the muxer, with a duration until `next` or as long as the previous one.
     fn release(&mut self, next: Option<ClockTime>) -> Result<(), MediaError> {
         let Some(Packet { mut buffer }) = self.held.take() else { return Ok(()) };
         let time = buffer.pts();
@@ -113,7 +113,8 @@ impl ContainerFile {
         }
     }
 
-    /// Writes the index. The file is with the system on return, which may not have put it on the disk. After an error of `push` there is no end.
+    /// Writes the index. On return the file is written to the system, which may not have stored it on the disk yet.
+    /// After an error of `push` no index is written.
     ///
     /// # Errors
     /// The file could not be written.

@@ -1,4 +1,4 @@
-//! Packets to pictures: a decoder of H.264 that is called like a function.
+//! An H.264 decoder with a synchronous interface.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -21,13 +21,13 @@ struct Collected {
     pictures: Vec<Buffer>,
 }
 
-/// Decodes H.264 with start codes, without pictures that wait for later ones, in the thread of the caller: a picture is there when
+/// Decodes H.264 with start codes, without reordered images, in the thread of the caller: the image is complete when
 /// [`Decoder::decode`] returns.
 pub struct Decoder {
     pipeline: Pipeline,
     bus: Bus,
     source: Pad,
-    /// Takes the pictures; a link does not keep a pad alive.
+    /// Receives the images; kept here because a link does not keep a pad alive.
     sink: Pad,
     packets: u64,
     collected: Arc<Mutex<Collected>>,
@@ -95,11 +95,11 @@ impl Decoder {
         Ok(this)
     }
 
-    /// Decodes a packet into rows of blue, green and red: `size_px` columns and rows, `stride` bytes from row to row. The video may be one column and
-    /// one row larger.
+    /// Decodes a packet into rows of blue, green and red: `size_px` columns and rows, `stride` bytes from row to row.
+    /// The video may be one column and one row larger.
     ///
     /// # Errors
-    /// The packet has no picture of this size, or is damaged.
+    /// The packet has no image of this size, or is damaged.
     ///
     /// # Panics
     /// When the rows do not lie inside `bgr`.
@@ -125,24 +125,24 @@ impl Decoder {
             collected.pictures.clear();
             (collected.info.clone(), picture)
         };
-        let (Some(info), Some(picture)) = (info, picture) else { return Err(self.error("a packet gave no picture")) };
+        let (Some(info), Some(picture)) = (info, picture) else { return Err(self.error("a packet has no image")) };
         let even_px = (size_px.0.next_multiple_of(2), size_px.1.next_multiple_of(2));
         let video_px = (info.width() as usize, info.height() as usize);
         if info.format() != VideoFormat::I420 || video_px != even_px {
             let (width, height) = video_px;
-            return Err(failure(&format!("a picture of {}x{} px came as {width}x{height}", size_px.0, size_px.1)));
+            return Err(failure(&format!("expected an image of {}x{} px, got {width}x{height}", size_px.0, size_px.1)));
         }
-        let damaged = |_| failure("a picture does not fit its description");
+        let damaged = |_| failure("an image does not match its description");
         let frame = VideoFrameRef::from_buffer_ref_readable(&picture, &info).map_err(damaged)?;
         let plane = |index: u32| {
-            let data = frame.plane_data(index).map_err(|_| failure("a picture lacks a plane"))?;
+            let data = frame.plane_data(index).map_err(|_| failure("an image lacks a plane"))?;
             Ok::<_, MediaError>(Plane { data, stride: frame.plane_stride()[index as usize].unsigned_abs() as usize })
         };
         i420_to_bgr([plane(0)?, plane(1)?, plane(2)?], size_px, stride, bgr);
         Ok(())
     }
 
-    /// What the element reported, or `otherwise`.
+    /// The error that the element reported, or `otherwise`.
     fn error(&self, otherwise: &str) -> MediaError {
         let reported = self.bus.iter().find_map(|message| match message.view() {
             MessageView::Error(error) => Some(MediaError::from(error)),

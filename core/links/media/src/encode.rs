@@ -1,4 +1,4 @@
-//! Pictures to packets: an encoder that is called like a function.
+//! A video encoder with a synchronous interface.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,13 +14,13 @@ use crate::MediaError;
 use crate::elements::{init, make};
 use crate::planes::{PlaneMut, bgr_to_bgrx, bgr_to_i420};
 
-/// Parts of an FFV1 picture that are encoded in parallel.
+/// Parts of an FFV1 image that are encoded in parallel.
 const FFV1_SLICES: i32 = 4;
 
-/// How pictures are compressed.
+/// Compression of images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VideoCodec {
-    /// One JPEG per picture; `quality_pct` from 1 to 100.
+    /// One JPEG per image; `quality_pct` from 1 to 100.
     Mjpeg {
         /// Quality, %.
         quality_pct: u8,
@@ -50,20 +50,20 @@ pub enum VideoCodec {
         /// Quality, %.
         quality_pct: u8,
     },
-    /// FFV1 version 3 of BGR pixels: lossless, every picture decodes without the others.
+    /// FFV1 version 3 of BGR pixels: lossless, every image is decoded independently.
     Ffv1,
 }
 
-/// What an encoder of H.264 or HEVC keeps constant.
+/// Rate control of an H.264 or HEVC encoder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RateControl {
-    /// The quality, as the encoder's constant rate factor: 1 is nearly lossless, 50 is poor.
+    /// Constant quality, by the encoder's constant rate factor: 1 is nearly lossless, 50 is poor.
     Crf(u8),
-    /// The bit rate in kbit/s.
+    /// Constant bit rate in kbit/s.
     Kbits(u32),
 }
 
-/// How H.264 and HEVC packets are framed.
+/// Framing of H.264 and HEVC packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Framing {
     /// For files: lengths before the units, parameter sets in the caps.
@@ -72,7 +72,7 @@ pub enum Framing {
     StartCodes,
 }
 
-/// What an [`Encoder`] is made for.
+/// Settings of an [`Encoder`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncoderSettings {
     /// Compression.
@@ -81,13 +81,14 @@ pub struct EncoderSettings {
     pub framing: Framing,
     /// Columns and rows of the video in px. H.264 and HEVC have even sizes: an odd last column or row is repeated.
     pub size_px: (usize, usize),
-    /// Pictures per second, which a bit rate refers to and files of a constant rate state. Each packet keeps the time of its picture all the same.
+    /// Frames per second, used for bit rates and for files of constant rate. Each packet still keeps the time of its
+    /// frame.
     pub rate_hz: Fraction,
-    /// Distance of key frames in pictures, for codecs that have other frames.
+    /// Distance of key frames in images, for codecs that have other frames.
     pub key_interval: u32,
 }
 
-/// A compressed picture.
+/// A compressed image.
 #[derive(Clone, Debug)]
 pub struct Packet {
     /// Compressed bytes, with presentation time and flags.
@@ -107,24 +108,25 @@ struct Collected {
     packets: Vec<Packet>,
 }
 
-/// Encodes in the thread of the caller: no queue, so that a picture's packet is there when [`Encoder::encode`] returns, and none is lost when
-/// the process is killed afterwards. Codecs may use threads of their own for parts of a picture.
+/// Encodes in the thread of the caller: there is no queue, so a frame's packet is complete when [`Encoder::encode`]
+/// returns, and none is lost if the process is killed later. Codecs may use more threads for parts of a frame.
 pub struct Encoder {
     pipeline: Pipeline,
     bus: Bus,
     source: Pad,
-    /// Takes the packets; a link does not keep a pad alive.
+    /// Receives the packets; kept here because a link does not keep a pad alive.
     sink: Pad,
     encoder: Element,
     settings: EncoderSettings,
-    /// Pictures as the encoder takes them.
+    /// Format of the encoder's input.
     info: VideoInfo,
     has_begun: bool,
     /// Reused once the elements have released it.
     picture: Option<Buffer>,
     pictures: u64,
-    /// Times of the pictures whose packets are still to come. The elements count pictures at a constant rate, because codecs spend bits by the
-    /// time between pictures and some cannot hold a time in ms; packets come in the order of their pictures.
+    /// Times of the frames whose packets are not complete yet. The elements count images at a constant rate, because
+    /// codecs spend bits by the time between images and some cannot hold a time in ms; packets come in the order of
+    /// their images.
     times_ns: VecDeque<u64>,
     collected: Arc<Mutex<Collected>>,
 }
@@ -147,7 +149,7 @@ impl VideoCodec {
         matches!(self, Self::H264 { .. } | Self::H264Baseline { .. } | Self::Hevc { .. })
     }
 
-    /// What the encoder takes.
+    /// Pixel format of the encoder's input.
     fn format(self) -> VideoFormat {
         if self == Self::Ffv1 { VideoFormat::Bgrx } else { VideoFormat::I420 }
     }
@@ -161,7 +163,7 @@ impl VideoCodec {
         }
     }
 
-    /// Pictures of a size, as the encoder takes them.
+    /// Video format of the encoder's input for a size.
     fn info(self, (width, height): (usize, usize), rate_hz: Fraction) -> Option<VideoInfo> {
         let (width, height) = (u32::try_from(width).ok()?, u32::try_from(height).ok()?);
         let mut info = VideoInfo::builder(self.format(), width, height).fps(rate_hz);
@@ -288,7 +290,8 @@ impl Encoder {
         let wired =
             |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
         let info = codec.info(size_px, rate_hz);
-        let info = info.ok_or_else(|| wired(&format!("{}x{} px is no size of a video", size_px.0, size_px.1)))?;
+        let info =
+            info.ok_or_else(|| wired(&format!("{}x{} px is not a valid size of a video", size_px.0, size_px.1)))?;
         let mut chain = vec![encoder.clone()];
         if let Some(parser) = parser {
             chain.push(make(parser)?);
@@ -364,16 +367,16 @@ impl Encoder {
         }
     }
 
-    /// Makes the next picture a key frame.
+    /// Makes the next image a key frame.
     pub fn force_key(&self) {
         self.source.push_event(DownstreamForceKeyUnitEvent::builder().all_headers(true).build());
     }
 
-    /// Encodes a picture that is shown at `time_ns`; times grow. `bgr`: rows of blue, green, red without padding, `size_px` columns and rows as in
-    /// the settings.
+    /// Encodes an image with presentation time `time_ns`; times must increase. `bgr`: rows of blue, green, red without
+    /// padding, `size_px` columns and rows as in the settings.
     ///
     /// # Errors
-    /// The encoder fails, or the picture does not have this size.
+    /// The encoder fails, or the image does not have this size.
     pub fn encode(&mut self, bgr: &[u8], size_px: (usize, usize), time_ns: u64) -> Result<Vec<Packet>, MediaError> {
         let buffer = self.fill(bgr, size_px)?;
         self.times_ns.push_back(time_ns);
@@ -385,7 +388,7 @@ impl Encoder {
         Ok(self.take())
     }
 
-    /// Ends the video: the packets that the encoder still held.
+    /// Ends the video and returns the packets that the encoder still held.
     ///
     /// # Errors
     /// The encoder fails.
@@ -410,7 +413,7 @@ impl Encoder {
         packets
     }
 
-    /// Announces the pictures that follow.
+    /// Announces the images that follow.
     fn begin(&mut self) -> Result<(), MediaError> {
         let caps = self.info.to_caps().map_err(|error| self.failure(error.to_string()))?;
         self.source.push_event(gstreamer::event::StreamStart::new("pictures"));
@@ -423,7 +426,7 @@ impl Encoder {
     fn fill(&mut self, bgr: &[u8], size_px: (usize, usize)) -> Result<Buffer, MediaError> {
         let (columns, rows) = size_px;
         if columns == 0 || rows == 0 || bgr.len() != columns * rows * 3 {
-            return Err(self.failure(format!("a picture of {columns}x{rows} px has {} bytes", bgr.len())));
+            return Err(self.failure(format!("an image of {columns}x{rows} px has {} bytes", bgr.len())));
         }
         let video_px = self.settings.size_px;
         // But for a repeated last column or row.
@@ -444,7 +447,7 @@ impl Encoder {
             Some(last) => last,
             None => Buffer::with_size(info.size()).map_err(|error| self.failure(error.to_string()))?,
         };
-        let Some(writable) = buffer.get_mut() else { return Err(self.failure("its picture is in use".to_owned())) };
+        let Some(writable) = buffer.get_mut() else { return Err(self.failure("its image is in use".to_owned())) };
         let rate_hz = self.settings.rate_hz;
         let (frames, seconds) = (rate_hz.numer().max(1) as u64, rate_hz.denom().max(1) as u64);
         writable.set_pts(ClockTime::SECOND.mul_div_round(self.pictures * seconds, frames));
@@ -475,7 +478,7 @@ impl Encoder {
         })
     }
 
-    /// What an element reported, or `otherwise`.
+    /// The error that an element reported, or `otherwise`.
     fn error(&self, otherwise: &str) -> MediaError {
         self.bus_error().unwrap_or_else(|| self.failure(otherwise.to_owned()))
     }

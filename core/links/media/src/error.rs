@@ -5,14 +5,14 @@ use std::time::Duration;
 use gstreamer::message::Error as BusError;
 use gstreamer::prelude::*;
 
-/// What can go wrong in a pipeline.
+/// Error of a pipeline.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MediaError {
     /// GStreamer itself cannot be started.
     #[error("GStreamer cannot start: {reason}")]
     Init {
-        /// GStreamer's words.
+        /// GStreamer's message.
         reason: String,
     },
     /// An element is not installed.
@@ -44,7 +44,7 @@ pub enum MediaError {
         element: String,
         /// What the element reported.
         reason: String,
-        /// What it says for developers.
+        /// Details for developers.
         details: Option<String>,
     },
     /// No decoder for a stream is installed.
@@ -58,18 +58,18 @@ pub enum MediaError {
     /// A pipeline that cannot be built or started.
     #[error("{reason}")]
     Refused {
-        /// GStreamer's words.
+        /// GStreamer's message.
         reason: String,
     },
-    /// No picture came in time.
-    #[error("no picture came within {} s", limit.as_secs_f64())]
+    /// No frame arrived in time.
+    #[error("no image arrived within {} s", limit.as_secs_f64())]
     Silent {
         /// The limit.
         limit: Duration,
     },
 }
 
-/// Formats that decoders outside gstreamer1.0-libav are for, by the start of their media type.
+/// Formats with decoders outside gstreamer1.0-libav, by the start of their media type.
 const PACKAGES: &[(&str, &str)] = &[
     ("video/x-vp8", "gstreamer1.0-plugins-good"),
     ("video/x-vp9", "gstreamer1.0-plugins-good"),
@@ -80,7 +80,7 @@ const PACKAGES: &[(&str, &str)] = &[
 ];
 
 impl MediaError {
-    /// The error that a `missing-plugin` message of a decoder stands for.
+    /// The error for a `missing-plugin` message of a decoder.
     pub(crate) fn of_missing_plugin(structure: &gstreamer::StructureRef) -> Option<Self> {
         if structure.name() != "missing-plugin" || structure.get::<&str>("type").ok()? != "decoder" {
             return None;

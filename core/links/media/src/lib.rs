@@ -1,6 +1,7 @@
-//! GStreamer for the plugins that read and write video: initialization, elements and their packages, errors, offers of WebRTC viewers.
+//! GStreamer for the plugins that read and write video: initialization, elements and their packages, errors, offers of
+//! WebRTC viewers.
 //!
-//! `capture` and `sinks` are separate libraries that share one GStreamer in a process. What both need stands here.
+//! `capture` and `sinks` are separate libraries that share one GStreamer in a process. Code that both need is here.
 
 mod container;
 mod decode;

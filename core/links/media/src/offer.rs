@@ -1,17 +1,18 @@
 //! Offers of viewers (SDP), and the answers to them.
 //!
-//! GStreamer's `webrtcbin` never sees the bytes of a viewer. An offer is read here, and [`Offer::to_text`] writes a new one from the few checked
-//! values that a connection needs. Addresses of the viewer are left out: the viewer connects to this machine, and this machine sends nothing to
-//! an address before a packet with the right password has come from there.
+//! GStreamer's `webrtcbin` never sees the bytes of a viewer. An offer is read here, and [`Offer::to_text`] writes a new
+//! one from the few checked values that a connection needs. Addresses of the viewer are left out: the viewer connects
+//! to this machine, and this machine sends nothing to an address before it received a packet with the right password
+//! from it.
 
 use std::fmt::Write;
 
-/// Longest offer that is read, bytes. A browser's offer of sound and video has 7 to 10 KB.
+/// Maximum length of an offer, bytes. A browser's offer of sound and video has 7 to 10 KB.
 pub const MAX_OFFER_BYTES: usize = 64 << 10;
-/// Most media that an offer may have.
+/// Maximum number of media of an offer.
 const MAX_MEDIA: usize = 16;
 
-/// Why an offer is refused.
+/// An offer that is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum OfferError {
     /// It is longer than [`MAX_OFFER_BYTES`].
@@ -29,11 +30,11 @@ pub enum OfferError {
     /// It has too many media.
     #[error("the offer has more than {MAX_MEDIA} media: offer one video")]
     ManyMedia,
-    /// It has no video to send to.
+    /// It accepts no video.
     #[error("the offer has no video that receives: add a transceiver of `video` with the direction `recvonly`")]
     NoVideo,
-    /// The viewer cannot decode what is sent.
-    #[error("the viewer does not offer H.264 with packetization-mode 1, which is what this stream is compressed with")]
+    /// The viewer cannot decode the sent format.
+    #[error("the viewer does not offer H.264 with packetization-mode 1, which this stream needs")]
     NoCodec,
     /// A value that a connection needs is missing or malformed.
     #[error("the offer has no usable `a={name}` for its video")]
@@ -117,7 +118,7 @@ pub struct Format {
 }
 
 impl Format {
-    /// The constrained baseline profile first, which is what is sent.
+    /// Order of preference; the constrained baseline profile, which is sent, comes first.
     fn rank(&self) -> usize {
         ["42e0", "42c0", "42"].iter().position(|start| self.profile_level_id.starts_with(start)).unwrap_or(usize::MAX)
     }
@@ -144,10 +145,10 @@ impl Format {
     }
 }
 
-/// What a connection needs of an offer. Each value is checked.
+/// The checked values of an offer that a connection needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Offer {
-    /// What is sent.
+    /// Format that is sent.
     pub format: Format,
     mid: String,
     ufrag: String,
@@ -173,7 +174,7 @@ impl Offer {
     /// Reads an offer.
     ///
     /// # Errors
-    /// It is not an SDP, or lacks a video that H.264 can be sent to.
+    /// It is not an SDP, or accepts no H.264 video.
     pub fn parse(bytes: &[u8]) -> Result<Self, OfferError> {
         if bytes.len() > MAX_OFFER_BYTES {
             return Err(OfferError::Long { bytes: bytes.len() });
@@ -228,7 +229,7 @@ impl Offer {
         })
     }
 
-    /// An offer of the video alone.
+    /// An offer with the video only.
     pub fn to_text(&self) -> String {
         let Format { payload_type, profile_level_id } = &self.format;
         let Self { mid, ufrag, password, fingerprint, setup, .. } = self;
@@ -246,8 +247,8 @@ impl Offer {
         text
     }
 
-    /// The answer to the whole offer: `answer` is the one to [`Self::to_text`], and other media are refused. `None` when `answer` has not exactly
-    /// one medium.
+    /// The answer to the whole offer: `answer` is the one to [`Self::to_text`], and other media are refused. `None`
+    /// unless `answer` has exactly one medium.
     pub fn complete(&self, answer: &str) -> Option<String> {
         let start = answer.find("\r\nm=")? + 2;
         let (session, video) = answer.split_at(start);

@@ -1,4 +1,4 @@
-//! Pixels as encoders take them and decoders make them.
+//! Conversions of pixels for encoders and decoders.
 
 use panoscope_base::gray::convert_row;
 use panoscope_base::{Simd, dispatch};
@@ -35,7 +35,7 @@ impl Matrix {
         (weighted(&self.luma, bgr.map(i32::from), 16) + self.luma_offset) as u8
     }
 
-    /// Of the sum of four pixels.
+    /// Chroma of the sum of four pixels.
     fn chroma(&self, sum: [i32; 3]) -> (u8, u8) {
         let byte = |value: i32| (value + 128).clamp(0, 255) as u8;
         (byte(weighted(&self.cb, sum, 18)), byte(weighted(&self.cr, sum, 18)))
@@ -50,8 +50,8 @@ fn pixel(row: &[u8], x: usize) -> [u8; 3] {
     [row[3 * x], row[3 * x + 1], row[3 * x + 2]]
 }
 
-/// BGR rows without padding to planes of luma, Cb and Cr by BT.601, chroma averaged over 2x2 px. `to` may be one column and one row larger than
-/// `size`: they repeat the last ones.
+/// BGR rows without padding to planes of luma, Cb and Cr by BT.601, chroma averaged over 2x2 px. `to` may be one column
+/// and one row larger than `size`: the last ones are repeated.
 pub fn bgr_to_i420(bgr: &[u8], size: Size, to: Size, is_full_range: bool, planes: [PlaneMut<'_>; 3]) {
     let matrix = if is_full_range { &FULL } else { &LIMITED };
     let [luma, cb, cr] = planes;
@@ -78,14 +78,14 @@ pub fn bgr_to_i420(bgr: &[u8], size: Size, to: Size, is_full_range: bool, planes
     }
 }
 
-/// Blocks of chroma that are made at once; their sums lie on the stack.
+/// Number of chroma blocks per step; their sums are on the stack.
 const BLOCKS: usize = 256;
 
 fn chroma_row(matrix: &Matrix, rows: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]) {
     dispatch!(Simd::detect(), chroma_blocks(matrix: &Matrix, rows: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]));
 }
 
-/// Chroma of two rows. Each step is a loop without branches over one kind of number, which compilers make vectors of.
+/// Chroma of two rows. Each step is a branch-free loop over one type, which compilers vectorize.
 #[inline(always)]
 fn chroma_blocks(matrix: &Matrix, [above, below]: [&[u8]; 2], cb: &mut [u8], cr: &mut [u8]) {
     let blocks = (above.len() / 6).min(cb.len()).min(cr.len());
@@ -144,19 +144,20 @@ pub struct FromYuv {
     offset: i32,
     luma: i32,
     blue: i32,
-    /// Of Cb and Cr.
+    /// Weights of Cb and Cr in green.
     green: [i32; 2],
     red: i32,
 }
 
-/// Chroma of gray.
+/// Chroma value of gray.
 const CHROMA_ZERO: i32 = 128;
 
 impl FromYuv {
     /// BT.601, 16 to 235 and 16 to 240.
     pub const BT601: Self = Self { offset: 16, luma: 76309, blue: 132201, green: [-25675, -53279], red: 104597 };
 
-    /// By the shares of red and blue in luma. Full range is 0 to 255, else luma is 16 to 235 and chroma 16 to 240.
+    /// A matrix from the shares of red and blue in luma. Full range is 0 to 255, else luma is 16 to 235 and chroma 16
+    /// to 240.
     pub fn new(red_share: f64, blue_share: f64, is_full_range: bool) -> Self {
         let (offset, luma, chroma) = if is_full_range { (0, 1.0, 2.0) } else { (16, 255.0 / 219.0, 255.0 / 112.0) };
         let fixed = |value: f64| (value * 65536.0).round() as i32;
@@ -167,7 +168,8 @@ impl FromYuv {
     }
 }
 
-/// A component of a picture in memory: its values are `step` bytes apart, and each covers 2 to the power of `shift` columns and rows.
+/// A component of an image in memory: its values are `step` bytes apart, and each covers 2 to the power of `shift`
+/// columns and rows.
 pub struct Component<'a> {
     /// The first value is that of the upper left corner.
     pub plane: Plane<'a>,
@@ -192,11 +194,10 @@ impl Component<'_> {
     }
 }
 
-/// Luma, Cb and Cr of 8 bits to BGR rows that are `stride` bytes apart; the components may be larger than `size`. Each value is that of the
-/// standard, rounded; chroma is not interpolated.
+/// Luma, Cb and Cr of 8 bits to BGR rows that are `stride` bytes apart; the components may be larger than `size`.
+/// Values follow the standard, rounded; chroma is not interpolated.
 ///
-/// # Panics
-/// When rows do not lie inside their memory.
+/// # Panics When rows are not inside their memory.
 pub fn yuv_to_bgr(from: FromYuv, components: [Component<'_>; 3], size: Size, stride: usize, bgr: &mut [u8]) {
     let (width, height) = size;
     let mut rows = [const { Vec::new() }; 3];
@@ -226,7 +227,8 @@ fn yuv_row(from: FromYuv, luma: &[u8], cb: &[u8], cr: &[u8], bgr: &mut [u8]) {
     }
 }
 
-/// Planes of luma, Cb and Cr by BT.601 (16 to 235) to BGR rows that are `stride` bytes apart; the planes may be larger than `size`.
+/// Planes of luma, Cb and Cr by BT.601 (16 to 235) to BGR rows that are `stride` bytes apart; the planes may be larger
+/// than `size`.
 pub fn i420_to_bgr([luma, cb, cr]: [Plane<'_>; 3], size: Size, stride: usize, bgr: &mut [u8]) {
     let component = |plane, shift| Component { plane, step: 1, shift };
     let components = [component(luma, (0, 0)), component(cb, (1, 1)), component(cr, (1, 1))];

@@ -8,10 +8,10 @@ use std::str::FromStr;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Address(SocketAddr);
 
-/// A text that names no address.
+/// A text that is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{text}` is no address to listen on; write a port such as 9464 (this machine only), or IP:PORT such as 0.0.0.0:9464"
+    "`{text}` is not an address to listen on; write a port such as 9464 (this machine only), or IP:PORT such as 0.0.0.0:9464"
 )]
 pub struct AddressError {
     /// The text.

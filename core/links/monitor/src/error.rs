@@ -1,9 +1,9 @@
-//! Errors.
+//! Errors of the page.
 
 use std::io;
 use std::net::SocketAddr;
 
-/// Why a graph cannot be shown.
+/// A graph that cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum MonitorError {
     /// The address cannot be listened on.
@@ -13,15 +13,15 @@ pub enum MonitorError {
     Listen {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
-    /// There is no thread for the server.
+    /// The server's thread could not be started.
     #[error("cannot start the thread that serves {address}: {cause}")]
     Thread {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
 }

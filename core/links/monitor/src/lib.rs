@@ -4,13 +4,13 @@
 //!
 //! | path | content |
 //! |---|---|
-//! | `/` | a page with the pictures of the graph, their ages, and the state of its nodes |
+//! | `/` | a page with the images of the graph, their ages, and the state of its nodes |
 //! | `/state` | the same as JSON |
-//! | `/pictures/NODE.OUTPUT` | the newest picture of an output, JPEG: maps in colours, clouds as the camera saw them |
+//! | `/pictures/NODE.OUTPUT` | the newest image of an output, JPEG: maps in colours, clouds as the camera saw them |
 //! | `/metrics` | counters and times in the text format of Prometheus |
 //!
-//! Nothing can be changed through it. It never holds a frame back: pictures come from previews, which exist only while somebody looks. Requests
-//! are served on a thread of their own, which knows only what [`Monitor::update`] left there.
+//! Nothing can be changed through it. It never holds a frame back: images come from previews, which exist only while a
+//! client requests them. Requests are served on a separate thread from the state that [`Monitor::update`] published.
 
 mod address;
 mod error;
@@ -40,23 +40,23 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// Begins to listen. Until the first [`Self::update`] there is nothing to see.
+    /// Begins to listen. The page is empty until the first [`Self::update`].
     ///
     /// # Errors
-    /// The address cannot be listened on.
+    /// The address cannot be used.
     pub fn start(address: Address) -> Result<Self, MonitorError> {
         let shared = Arc::new(Shared::default());
         let server = Server::start(address, Arc::clone(&shared))?;
         Ok(Self { shared, server })
     }
 
-    /// The address that it listens on; the port is the one that the system chose if 0 was asked for.
+    /// The address that it listens on; port 0 is replaced by the one that the system chose.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
     }
 
-    /// Takes over what there is to show. Call it several times a second. `catalog` has the node types of the running graph; it is asked for when
-    /// the graph has changed.
+    /// Publishes the current state. Call it several times a second. `catalog` returns the node types of the running
+    /// graph; it is called when the graph has changed.
     pub fn update(&self, engine: &Engine, catalog: impl FnOnce(&Graph) -> Catalog) {
         self.shared.update(engine, catalog);
     }

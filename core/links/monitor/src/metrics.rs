@@ -51,7 +51,7 @@ impl Families {
     }
 }
 
-/// All counters and times of a report. Times are in seconds, as Prometheus wants them.
+/// All counters and times of a report. Times are in seconds, as Prometheus requires.
 pub fn text(report: &Report) -> String {
     let mut all = Families::default();
     let seconds = |ms: f64| ms / 1e3;
@@ -125,7 +125,7 @@ pub fn text(report: &Report) -> String {
     }
 }
 
-/// The connection to another machine.
+/// Metrics of the connection to another machine.
 fn link_metrics(all: &mut Families, group: &str, link: &LinkReport) {
     let label = [("group", group), ("address", link.address.as_str())];
     let seconds = |ns: f64| ns / 1e9;

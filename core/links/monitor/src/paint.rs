@@ -1,4 +1,4 @@
-//! Pictures of what is no picture: maps of numbers in colours, clouds as the camera saw them.
+//! Images of other packets: maps of numbers in colours, clouds from the camera's view.
 
 use std::mem::offset_of;
 
@@ -10,13 +10,13 @@ pub type Range = Option<(f32, f32)>;
 
 /// Share of the values below and above the colours.
 const TAIL: f32 = 0.02;
-/// Share of a change of the range that one picture makes.
+/// Share of a change of the range that one image applies.
 const PACE: f32 = 0.2;
-/// One value of so many is looked at for the range.
+/// Every n-th value is used for the range.
 const LOOK: usize = 7;
 
-/// A map or a cloud as rows of blue, green, red without padding; `None` for other formats. `bytes` holds all rows of `frame`. Confidences keep their
-/// range of 0 to 1.
+/// A map or a cloud as rows of blue, green, red without padding; `None` for other formats. `bytes` holds all rows of
+/// `frame`. Confidences keep their range of 0 to 1.
 pub fn painted(frame: &Frame, bytes: &[u8], packet: &str, range: &mut Range) -> Option<Vec<u8>> {
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
     let rows = |pixel: usize| bytes.chunks(stride.max(1)).take(height).map(move |row| &row[..width * pixel]);
@@ -58,7 +58,7 @@ pub fn painted(frame: &Frame, bytes: &[u8], packet: &str, range: &mut Range) -> 
     }
 }
 
-/// The range of nearly all values, on its way from the one before.
+/// Moves the range towards that of nearly all values.
 fn follow(values: &[f32], range: &mut Range) -> (f32, f32) {
     let mut known: Vec<f32> = values.iter().step_by(LOOK).copied().filter(|value| value.is_finite()).collect();
     if known.is_empty() {

@@ -1,4 +1,4 @@
-//! Which outputs are shown, and their pictures as JPEG.
+//! Which outputs are shown, and their images as JPEG.
 
 use panoscope_base::{View, format};
 use panoscope_data::formats::{Pixels, still};
@@ -21,7 +21,7 @@ pub struct Shown {
     pub output: String,
     /// Type of its packets.
     pub packet: String,
-    /// Words beside it.
+    /// Label next to it.
     pub label: String,
 }
 
@@ -32,7 +32,7 @@ impl Shown {
     }
 }
 
-/// The views of the graph's preset that have a picture; without one, what its sinks receive.
+/// The views of the graph's preset that can be drawn; without a preset, the inputs of its sinks.
 pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
     let type_of = |node: usize| graph.nodes[node].node_type(catalog);
     let has_picture = |node: usize, port: usize| {
@@ -60,14 +60,14 @@ pub fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<Shown> {
     all
 }
 
-/// Why there is no picture of an output.
+/// An output without an image.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The output made no packet yet.
-    #[error("there is no picture yet")]
+    #[error("there is no image yet")]
     None,
     /// Its description needs more bytes than the packet has.
-    #[error("a picture of {width} x {height} {format} does not fit its bytes")]
+    #[error("an image of {width} x {height} {format} does not match its bytes")]
     Bytes {
         /// Columns.
         width: u32,
@@ -76,8 +76,8 @@ pub enum PictureError {
         /// Name of the format.
         format: &'static str,
     },
-    /// Packets of its format have no picture.
-    #[error("{format} has no picture")]
+    /// Packets of its format cannot be drawn.
+    #[error("{format} cannot be shown as an image")]
     Format {
         /// Name of the format.
         format: &'static str,
@@ -90,7 +90,7 @@ pub enum PictureError {
     },
 }
 
-/// A packet of a type as JPEG. `range`: of the colours of a map, from picture to picture.
+/// A packet of a type as JPEG. `range` of the colours of a map is kept from image to image.
 pub fn jpeg(frame: &FrameRef, packet: &str, range: &mut Range) -> Result<Vec<u8>, PictureError> {
     let head = frame.frame();
     let name = format::name(head.format);
@@ -158,7 +158,7 @@ mod tests {
                 jpeg(&frame(name, 64, 48, &[0; 100]), "image", &mut None)
                     .unwrap_err()
                     .to_string()
-                    .contains("does not fit")
+                    .contains("does not match")
             );
         }
     }

@@ -1,4 +1,4 @@
-//! The HTTP server: a thread with a runtime of its own.
+//! The HTTP server: a thread with a separate runtime.
 
 use std::convert::Infallible;
 use std::net::{SocketAddr, TcpListener};
@@ -23,7 +23,7 @@ use crate::error::MonitorError;
 use crate::state::Shared;
 use crate::{metrics, page};
 
-/// A request that takes longer is given up, so that a slow client holds nothing for long.
+/// Time limit of a request, so that a slow client does not hold resources.
 const MAX_REQUEST: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, such as with too many open files.
 const RETRY: Duration = Duration::from_millis(100);
@@ -43,7 +43,7 @@ impl Server {
     /// Listens and serves `shared`.
     ///
     /// # Errors
-    /// The address cannot be listened on, or there is no thread.
+    /// The address cannot be used, or the thread does not start.
     pub fn start(wanted: Address, shared: Arc<Shared>) -> Result<Self, MonitorError> {
         let socket = wanted.socket();
         let listen = |cause| MonitorError::Listen { address: socket, cause };
@@ -104,7 +104,7 @@ async fn serve(stream: TcpStream, shared: Arc<Shared>) {
     let _ = server.serve_connection(TokioIo::new(stream), service).await;
 }
 
-/// Refuses what is not a read, and requests that a page of another origin had a browser make; limits the time of a request.
+/// Refuses writes and requests from pages of other origins; limits the time of a request.
 async fn guarded(request: Request<Incoming>, shared: Arc<Shared>) -> Answer {
     let (request, _) = request.into_parts();
     if !matches!(request.method, Method::GET | Method::HEAD) {
@@ -117,7 +117,7 @@ async fn guarded(request: Request<Incoming>, shared: Arc<Shared>) -> Answer {
     }
     let mut answer = match tokio::time::timeout(MAX_REQUEST, answer(request.uri.path(), shared)).await {
         Ok(answer) => answer,
-        Err(_) => refuse(StatusCode::REQUEST_TIMEOUT, "the answer took too long"),
+        Err(_) => refuse(StatusCode::REQUEST_TIMEOUT, "the response took too long"),
     };
     let headers = answer.headers_mut();
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -180,7 +180,7 @@ async fn picture(shared: Arc<Shared>, name: String) -> Answer {
             answer
         }
         Ok(Some(Err(error))) => refuse(StatusCode::SERVICE_UNAVAILABLE, &error.to_string()),
-        Ok(None) => refuse(StatusCode::NOT_FOUND, "no picture has this name; `/state` lists them"),
+        Ok(None) => refuse(StatusCode::NOT_FOUND, "no image has this name; `/state` lists them"),
         Err(error) => refuse(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }

@@ -1,4 +1,4 @@
-//! What the server knows of the running graph.
+//! The server's state of the running graph.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -14,18 +14,18 @@ use serde::Serialize;
 use crate::paint::Range;
 use crate::pictures::{self, PictureError, Shown};
 
-/// A picture that nobody asked for in this time is no longer taken from the graph.
+/// Time without a request after which an image is no longer taken from the graph.
 const MAX_UNSEEN: Duration = Duration::from_secs(3);
-/// How often it is looked whether the graph has changed.
+/// Time between two checks for changes of the graph.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// Faults that are shown.
+/// Maximum number of faults that are shown.
 const MAX_FAULTS: usize = 10;
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The newest picture of an output.
+/// The newest image of an output.
 #[derive(Clone)]
 struct Picture {
     frame: FrameRef,
@@ -41,11 +41,11 @@ struct Known {
     pictures: HashMap<String, Picture>,
     /// Ranges of the colours of maps.
     ranges: HashMap<String, Range>,
-    /// When somebody last asked for a picture.
+    /// Time of the last request of each image.
     asked: HashMap<String, Instant>,
 }
 
-/// A picture for a client.
+/// An image for a client.
 pub struct Encoded {
     /// JPEG.
     pub jpeg: Vec<u8>,
@@ -55,11 +55,11 @@ pub struct Encoded {
     pub age_ms: Option<f64>,
 }
 
-/// Used by the thread of the graph alone.
+/// State used only by the graph's thread.
 struct Source {
     previews: HashMap<String, (String, Preview)>,
     looked: Option<Instant>,
-    /// The graph that was looked at last.
+    /// The graph at the last check.
     graph: Option<Graph>,
     faults: FaultCursor,
 }
@@ -71,7 +71,7 @@ impl Default for Source {
     }
 }
 
-/// Shared by the thread that watches the graph and the one that serves.
+/// State shared by the graph's thread and the server.
 #[derive(Default)]
 pub struct Shared {
     known: Mutex<Known>,
@@ -86,7 +86,7 @@ struct FaultLine {
     words: String,
 }
 
-/// `/state`.
+/// Content of `/state`.
 #[derive(Debug, Serialize)]
 pub struct State {
     graph: String,
@@ -143,7 +143,7 @@ impl Picture {
 }
 
 impl Shared {
-    /// See [`crate::Monitor::update`].
+    /// Publishes the state; see [`crate::Monitor::update`].
     pub fn update(&self, engine: &Engine, catalog: impl FnOnce(&Graph) -> Catalog) {
         let mut source = lock(&self.source);
         let now = Instant::now();
@@ -180,8 +180,8 @@ impl Shared {
         lock(&self.known).pictures.retain(|name, _| source.previews.contains_key(name));
     }
 
-    /// The newest picture of an output; `None` for names that are not shown. The picture is `Err` with a reason as long as
-    /// there is none.
+    /// The newest image of an output; `None` for names that are not shown; `Err` with a reason while there is no
+    /// image.
     pub fn picture(&self, name: &str) -> Option<Result<Encoded, PictureError>> {
         let mut known = lock(&self.known);
         let packet = known.shown.iter().find(|shown| shown.name() == name)?.packet.clone();
@@ -249,7 +249,7 @@ impl Shared {
 }
 
 impl Source {
-    /// Takes previews of what is wanted, and gives the others up.
+    /// Subscribes to requested outputs and drops other previews.
     fn subscribe(&mut self, engine: &Engine, wanted: &[Shown]) {
         let mut ended = Vec::new();
         self.previews.retain(|name, (node, _)| {

@@ -1,32 +1,33 @@
-//! Messages as CDR, the encoding of DDS and of bags: four bytes that name the byte order, then the fields, each at a multiple of its size.
+//! Messages as CDR, the encoding of DDS and of bags: four bytes that name the byte order, then the fields, each at a
+//! multiple of its size.
 
 use byteorder::{BigEndian, LittleEndian};
 use serde::{Deserialize, Serialize};
 
-/// Before little-endian CDR.
+/// Header of little-endian CDR.
 const LITTLE: [u8; 4] = [0, 1, 0, 0];
 
-/// Why bytes are no message of a type.
+/// Bytes that are not a message of a type.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CdrError {
     /// Shorter than the head.
-    #[error("a message of {len} bytes has no head")]
+    #[error("a message of {len} bytes is too short for a header")]
     Short {
         /// Its length.
         len: usize,
     },
-    /// Another encoding than CDR, such as XCDR2.
+    /// An encoding other than CDR, such as XCDR2.
     #[error("a message is encoded as {number:#06x}, which is not CDR")]
     Encoding {
         /// The encoding's number.
         number: u16,
     },
     /// Fields that do not fit.
-    #[error("a message is no {message}: {words}")]
+    #[error("a message is not a {message}: {words}")]
     Fields {
         /// Name of the type.
         message: &'static str,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
     /// A value that cannot be encoded.
@@ -34,7 +35,7 @@ pub enum CdrError {
     Encode {
         /// Name of the type.
         message: &'static str,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
 }
@@ -44,7 +45,7 @@ pub trait Message {
     /// Name of the type, such as `sensor_msgs/msg/Image`.
     const TYPE: &'static str;
 
-    /// Bytes that the message takes, about: an encoder's first guess.
+    /// Approximate encoded size in bytes, for allocation.
     fn size_hint(&self) -> usize {
         256
     }
@@ -70,16 +71,17 @@ pub fn encode<M: Message + Serialize>(message: &M) -> Result<Vec<u8>, CdrError> 
     Ok(bytes)
 }
 
-/// Decodes a message of either byte order. Pixels and points stay in `bytes`. Bytes after the last field are ignored, as writers pad.
+/// Decodes a message of either byte order. Pixels and points stay in `bytes`. Bytes after the last field are ignored,
+/// as writers pad.
 ///
 /// # Errors
-/// The bytes are no message of this type.
+/// The bytes are not a message of this type.
 pub fn decode<'b, M: Message + Deserialize<'b>>(bytes: &'b [u8]) -> Result<M, CdrError> {
     let (head, body) = bytes.split_first_chunk::<4>().ok_or(CdrError::Short { len: bytes.len() })?;
     decode_body(u16::from_be_bytes([head[0], head[1]]), body)
 }
 
-/// Decodes the fields of a message whose head has this number.
+/// Decodes the fields of a message whose head has this encoding number.
 ///
 /// # Errors
 /// As [`decode`].

@@ -1,4 +1,4 @@
-//! The texts that describe messages to readers of bags: `ros2msg`, with all types that a message is made of.
+//! The texts that describe messages to readers of bags: `ros2msg`, with all nested types.
 
 use std::collections::BTreeSet;
 
@@ -69,8 +69,8 @@ fn parts(text: &str) -> impl Iterator<Item = &str> {
     types.filter(|name| name.contains('/'))
 }
 
-/// The definition of a type such as `sensor_msgs/msg/Image` with those of all its parts; `None` for other types than those of
-/// [`crate::messages`].
+/// The definition of a type such as `sensor_msgs/msg/Image` with those of all its parts; `None` for other types than
+/// those of [`crate::messages`].
 pub fn of(message: &str) -> Option<String> {
     let name = message.replacen("/msg/", "/", 1);
     let mut text = own(&name)?.to_owned();

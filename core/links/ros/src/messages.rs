@@ -57,7 +57,7 @@ pub struct Time {
 }
 
 impl Time {
-    /// The time so many nanoseconds after 1970, or after whatever moment times are counted from. Beyond 2038 the last moment that fits.
+    /// The time `ns` nanoseconds after 1970, or after another origin of times. Times beyond 2038 are clamped.
     pub fn from_ns(ns: i64) -> Self {
         match i32::try_from(ns.div_euclid(1_000_000_000)) {
             Ok(sec) => Self { sec, nanosec: ns.rem_euclid(1_000_000_000) as u32 },
@@ -106,9 +106,9 @@ pub struct Image<'b> {
 pub struct CompressedImage<'b> {
     /// Time and optical frame of the camera.
     pub header: Header,
-    /// `jpeg`, `png`, or words with one of them.
+    /// `jpeg`, `png`, or a text that contains one of them.
     pub format: String,
-    /// A file.
+    /// Bytes of the image file.
     #[serde(borrow)]
     pub data: Bytes<'b>,
 }
@@ -124,7 +124,7 @@ pub struct RegionOfInterest {
     pub height: u32,
     /// Columns.
     pub width: u32,
-    /// Whether a part is meant that is to be rectified.
+    /// Whether the region has to be rectified.
     pub do_rectify: bool,
 }
 
@@ -141,17 +141,17 @@ pub struct CameraInfo {
     pub distortion_model: String,
     /// Its coefficients.
     pub d: Vec<f64>,
-    /// Camera matrix of the raw picture, by rows.
+    /// Camera matrix of the raw image, by rows.
     pub k: [f64; 9],
     /// Rotation from the camera to the rectified camera, by rows.
     pub r: [f64; 9],
     /// Projection of the rectified camera, by rows; the last column is in px times m.
     pub p: [f64; 12],
-    /// Columns that are one.
+    /// Number of combined columns.
     pub binning_x: u32,
-    /// Rows that are one.
+    /// Number of combined rows.
     pub binning_y: u32,
-    /// Part of the sensor.
+    /// Region of the sensor.
     pub roi: RegionOfInterest,
 }
 
@@ -167,7 +167,7 @@ pub struct DisparityImage<'b> {
     pub f: f32,
     /// Baseline in m.
     pub t: f32,
-    /// Part with values.
+    /// Region with values.
     pub valid_window: RegionOfInterest,
     /// Smallest disparity that was searched.
     pub min_disparity: f32,
@@ -180,13 +180,13 @@ pub struct DisparityImage<'b> {
 /// `sensor_msgs/msg/PointField`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PointField {
-    /// Such as `x`, `rgb`.
+    /// Name, such as `x`, `rgb`.
     pub name: String,
     /// Bytes from the start of a point.
     pub offset: u32,
     /// One of the constants of [`point_type`].
     pub datatype: u8,
-    /// Numbers.
+    /// Number of values.
     pub count: u32,
 }
 
@@ -211,7 +211,7 @@ pub struct PointCloud2<'b> {
     pub height: u32,
     /// Columns.
     pub width: u32,
-    /// What a point has.
+    /// Fields of a point.
     pub fields: Vec<PointField>,
     /// Whether numbers have the highest byte first.
     pub is_bigendian: bool,
@@ -229,11 +229,11 @@ pub struct PointCloud2<'b> {
 /// `geometry_msgs/msg/Point`, `Vector3`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// In m.
+    /// x, m.
     pub x: f64,
-    /// In m.
+    /// y, m.
     pub y: f64,
-    /// In m.
+    /// z, m.
     pub z: f64,
 }
 
@@ -253,9 +253,9 @@ pub struct Quaternion {
 /// `geometry_msgs/msg/Pose`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// In m.
+    /// Position, m.
     pub position: Point,
-    /// A unit quaternion.
+    /// Orientation, a unit quaternion.
     pub orientation: Quaternion,
 }
 
@@ -273,7 +273,7 @@ pub struct PoseStamped {
 pub struct PoseWithCovariance {
     /// The pose.
     pub pose: Pose,
-    /// 6 x 6 numbers, by rows. Two halves, because arrays of more than 32 have no encoding here.
+    /// 6 x 6 numbers, by rows. Stored as two halves, because serde does not support arrays of more than 32.
     pub covariance: [[f64; 18]; 2],
 }
 
@@ -284,29 +284,29 @@ pub struct JointState {
     pub header: Header,
     /// Names of the joints.
     pub name: Vec<String>,
-    /// rad.
+    /// Angles, rad.
     pub position: Vec<f64>,
-    /// rad/s.
+    /// Speeds, rad/s.
     pub velocity: Vec<f64>,
-    /// Nm.
+    /// Torques, Nm.
     pub effort: Vec<f64>,
 }
 
 /// `vision_msgs/msg/Point2D`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Point2D {
-    /// px.
+    /// x, px.
     pub x: f64,
-    /// px.
+    /// y, px.
     pub y: f64,
 }
 
 /// `vision_msgs/msg/Pose2D`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose2D {
-    /// px.
+    /// Position, px.
     pub position: Point2D,
-    /// rad.
+    /// Rotation, rad.
     pub theta: f64,
 }
 
@@ -326,7 +326,7 @@ pub struct BoundingBox2D {
 pub struct ObjectHypothesis {
     /// Name of the class.
     pub class_id: String,
-    /// 0 to 1.
+    /// Score, 0 to 1.
     pub score: f64,
 }
 
@@ -335,7 +335,7 @@ pub struct ObjectHypothesis {
 pub struct ObjectHypothesisWithPose {
     /// Class and score.
     pub hypothesis: ObjectHypothesis,
-    /// Not used by boxes on pictures.
+    /// Not used by boxes on images.
     pub pose: PoseWithCovariance,
 }
 

@@ -7,7 +7,8 @@ pub const RIGHT: &str = "right_optical_frame";
 /// The left camera after rectification: points, depth and disparity are in it.
 pub const LEFT_RECTIFIED: &str = "left_rectified_optical_frame";
 
-/// A name as ROS allows it: letters, digits and `_`, parts divided by `/`, none of which begins with a digit. Other characters become `_`.
+/// Converts a name to ROS's rules: letters, digits and `_`, parts separated by `/` that do not begin with a digit.
+/// Other characters become `_`.
 pub fn sanitized(name: &str) -> String {
     let part = |part: &str| {
         let part: String = part.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
@@ -16,7 +17,7 @@ pub fn sanitized(name: &str) -> String {
     name.split('/').filter(|each| !each.is_empty()).map(part).collect::<Vec<_>>().join("/")
 }
 
-/// `node.output` as the beginning of a topic: `/node/output`.
+/// Converts `node.output` to the start of a topic: `/node/output`.
 pub fn topic(port: &str) -> String {
     format!("/{}", sanitized(&port.replace('.', "/")))
 }

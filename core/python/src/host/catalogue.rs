@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::error::Problem;
 
-/// The plugins that were found; each is loaded once, when one of its node types is asked for.
+/// The plugins that were found; each is loaded with the first request for one of its node types.
 #[pyclass(frozen, module = "panoscope._native")]
 pub struct Catalogue {
     loader: Mutex<Loader>,
@@ -41,7 +41,7 @@ impl Catalogue {
         self.with(of)
     }
 
-    /// A node type as `panoscope describe --json` writes it.
+    /// A node type in the form of `panoscope describe --json`.
     fn describe(&self, py: Python<'_>, plugin: &str, node_type: &str) -> PyResult<Option<String>> {
         let describe = || {
             let loaded = self.with(|loader| loader.load(plugin));
@@ -51,7 +51,7 @@ impl Catalogue {
         py.detach(describe).map_err(|problem: Problem| problem.raise(py))
     }
 
-    /// Checks a text as far as it goes: whether it can be run is not asked. Mistakes and warnings as JSON.
+    /// Checks an unfinished text. Returns mistakes and warnings as JSON.
     fn check(&self, py: Python<'_>, path: PathBuf, text: &str) -> String {
         let check = || {
             let options = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };

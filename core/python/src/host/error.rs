@@ -8,11 +8,11 @@ use pyo3::prelude::*;
 /// Module of the package with the exceptions.
 const ERRORS: &str = "panoscope.errors";
 
-/// What went wrong, to become an exception.
+/// An error that becomes an exception.
 pub enum Problem {
     /// A graph has mistakes.
     Graph(Diagnostics),
-    /// A graph cannot be used in the way that was asked for.
+    /// A graph cannot be used as requested.
     Use(String),
     /// A run did not start, or failed.
     Run(String),

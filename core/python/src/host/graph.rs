@@ -1,4 +1,4 @@
-//! A graph file with its arguments: what it needs, whether it is right, and its start.
+//! A graph file with its arguments: its arguments, check and start.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use super::running::{Lines, Run, Running};
 use super::values::value_of;
 use super::watched::Watched;
 
-/// Packets of all watched outputs that wait for Python.
+/// Maximum number of waiting packets of all watched outputs.
 const MAX_WAITING: usize = 32;
 
 /// Names and types of nodes; edges: producer, output, consumer, input, whether the packet is of the tick before.
@@ -40,7 +40,7 @@ pub struct Ready {
 }
 
 impl Ready {
-    /// The text of what runs: one file, with arguments and settings in place.
+    /// The text of the running graph: one file, with arguments and settings in place.
     fn settled(&self) -> Result<String, Problem> {
         self.text.settled(&self.catalog).map_err(|error| Problem::Use(error.to_string()))
     }
@@ -60,7 +60,8 @@ fn outputs(graph: &Graph, catalog: &Catalog) -> Vec<String> {
 }
 
 impl GraphFile {
-    /// Checks the graph. With `is_part` only what the outputs in `watch` need, so that a plugin that is of no use for them may be missing.
+    /// Checks the graph. With `is_part` only the part that the outputs in `watch` need, so that other plugins may be
+    /// missing.
     pub fn ready(&self, watch: &[String], is_part: bool) -> Result<Ready, Problem> {
         let mut text = self.text.clone();
         let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
@@ -131,7 +132,8 @@ impl GraphFile {
         Ok(Running::new(run, inbox, lines, ready.watched, recorder))
     }
 
-    /// The graph for a replay with more settings: ready, and its settings with the parameters of parts replaced by those of nodes.
+    /// The checked graph for a replay with more settings, and its settings with parameters of parts replaced by those
+    /// of nodes.
     fn for_replay(&self, watch: &[String], settings: &[String]) -> Result<(Ready, Vec<String>), Problem> {
         let mut text = self.text.clone();
         settings.iter().for_each(|setting| text.set(setting));
@@ -141,7 +143,7 @@ impl GraphFile {
     }
 }
 
-/// How a graph is started.
+/// Options of the start of a graph.
 struct Start {
     watch: Vec<String>,
     is_part: bool,
@@ -155,7 +157,8 @@ struct Start {
 
 #[pymethods]
 impl GraphFile {
-    /// Reads a graph, or takes `text` as that of the file. `words` are arguments as on a command line, `args` the same by name.
+    /// Reads a graph from the file or from `text`. `words` are arguments as on a command line, `args` arguments by
+    /// name.
     #[new]
     #[pyo3(signature = (path, words, args, settings, with, text = None))]
     fn open(
@@ -224,7 +227,7 @@ impl GraphFile {
         Ok(ready.graph.nodes.iter().flat_map(of).collect())
     }
 
-    /// Nodes and edges for a picture of the graph.
+    /// Nodes and edges for a drawing of the graph.
     fn drawing(&self, py: Python<'_>) -> PyResult<Drawing> {
         let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?;
         let (nodes, catalog) = (&ready.graph.nodes, &ready.catalog);
@@ -238,7 +241,7 @@ impl GraphFile {
         Ok((names.collect(), ready.graph.edges.iter().map(edge).collect()))
     }
 
-    /// The declared arguments: name, type, what it is, and whether it must be given.
+    /// The declared arguments: name, type, description, and whether it is required.
     fn arguments(&self) -> Vec<(String, String, String, bool)> {
         let missing = self.text.missing_args();
         let of = |arg: &panoscope_graph::Arg| {
@@ -260,7 +263,7 @@ impl GraphFile {
     }
 }
 
-/// The arguments of a graph among the words of a command line; overlays and settings go to theirs.
+/// The arguments of a graph in a command line; overlays and settings are separated.
 fn given(
     path: &Path,
     words: Vec<OsString>,

@@ -1,7 +1,8 @@
-//! Graphs and recordings from Python: the other direction than the rest of this crate, whose nodes the engine calls.
+//! Graphs and recordings from Python; in the rest of this crate, the engine calls nodes.
 //!
-//! Nothing here calls Python on a thread of the engine: packets wait in an [`Inbox`](panoscope_engine::inbox::Inbox) until Python asks for them, and the interpreter's lock is
-//! released while it waits.
+//! This module never calls Python on a thread of the engine: packets wait in an
+//! [`Inbox`](panoscope_engine::inbox::Inbox) until Python asks for them, and the interpreter's lock is released while
+//! it waits.
 
 mod catalogue;
 mod error;

@@ -12,11 +12,11 @@ use super::error::Problem;
 use super::watched::{TickParts, Watched};
 use crate::view::View;
 
-/// A recording that was scanned. Packets are read when they are asked for.
+/// A recording that was scanned. Packets are read on demand.
 #[pyclass(frozen, module = "panoscope._native")]
 pub struct RecordingFile {
     recording: Arc<Recording>,
-    /// The types of its ports, by the plugins of its graph.
+    /// The types of its ports, declared by the plugins of its graph.
     types: OnceLock<PortTypes>,
     /// Whether plugins from the folders that its graph names may run here.
     trusts_plugins: bool,
@@ -73,7 +73,7 @@ impl RecordingFile {
         py.detach(|| self.packet_type(port).map(str::to_owned)).map_err(|problem| problem.raise(py))
     }
 
-    /// A packet: view, (source, number, capture time in ns). None where there is no such packet.
+    /// A packet: view, (source, number, capture time in ns). None if there is no such packet.
     fn read(&self, py: Python<'_>, port: &str, index: usize) -> PyResult<Option<(View, TickParts)>> {
         let Some(packet) = self.recording.ports.get(port).and_then(|packets| packets.get(index)) else {
             return Ok(None);
@@ -91,7 +91,7 @@ impl RecordingFile {
         (self.recording.head.graph_path.clone(), self.recording.head.text.clone())
     }
 
-    /// Why the recording ends early; None where it is complete.
+    /// Reason for an early end of the recording; None if it is complete.
     fn cut(&self) -> Option<String> {
         self.recording.cut.as_ref().map(|cut| format!("it ends at byte {}: {}", cut.at, cut.reason))
     }

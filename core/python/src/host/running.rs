@@ -21,12 +21,12 @@ use super::values::{to_toml, value_of};
 use super::watched::{TickParts, Watched};
 use crate::view::View;
 
-/// How often the end of a run is looked for.
+/// Time between two checks for the end of a run.
 const STEP: Duration = Duration::from_millis(5);
-/// Maximum number of log lines that wait for Python; later ones are not kept.
+/// Maximum number of log lines that wait for Python; later ones are dropped.
 const MAX_LINES: usize = 1000;
 
-/// A line of the log: level, node, words.
+/// A line of the log: level, node, message.
 type Line = (Level, String, String);
 
 /// Log lines on their way to Python.
@@ -34,7 +34,7 @@ type Line = (Level, String, String);
 pub struct Lines(Arc<Mutex<Vec<Line>>>);
 
 impl Lines {
-    /// What the engine calls with each line.
+    /// Function that the engine calls with each line.
     pub fn sink(&self) -> Box<LogFn> {
         let lines = Arc::clone(&self.0);
         Box::new(move |level, node, words| {
@@ -53,13 +53,13 @@ impl Lines {
 /// A running graph and its text.
 type LiveGraph = Mutex<Live<Arc<Engine>>>;
 
-/// What runs.
+/// A run.
 pub enum Run {
     /// A graph.
     Graph {
         engine: Arc<Engine>,
         live: Box<LiveGraph>,
-        /// Knows which parameters those of parts stand for.
+        /// Resolves parameters of parts.
         parts: Box<GraphText>,
     },
     /// A recording.
@@ -80,7 +80,7 @@ impl Run {
         Ok(Self::Replay { replay, follows: Mutex::new(Some(follows)) })
     }
 
-    /// What records the run.
+    /// Recorder of the run.
     pub fn recorder(&self) -> Option<Arc<Recorder>> {
         match self {
             Self::Graph { .. } => None,
@@ -98,11 +98,11 @@ impl Run {
     fn live(&self) -> Result<(&LiveGraph, &GraphText), Problem> {
         match self {
             Self::Graph { live, parts, .. } => Ok((live, parts)),
-            Self::Replay { .. } => Err(Problem::Edit("a replay takes its changes from the recording".to_owned())),
+            Self::Replay { .. } => Err(Problem::Edit("a replay applies only the changes of the recording".to_owned())),
         }
     }
 
-    /// Why a replay did not play everything.
+    /// Reason for which a replay was incomplete.
     fn incomplete(&self) -> Option<String> {
         let Self::Replay { replay, follows } = self else { return None };
         let followed = lock(follows).take().map(JoinHandle::join);
@@ -113,7 +113,7 @@ impl Run {
     }
 }
 
-/// A running graph. Its end: [`Running::close`].
+/// A running graph, ended by [`Running::close`].
 #[pyclass(frozen, module = "panoscope._native")]
 pub struct Running {
     run: Run,
@@ -121,7 +121,7 @@ pub struct Running {
     lines: Lines,
     watched: Vec<Watched>,
     recorder: Option<Arc<Recorder>>,
-    /// What closing came to, as JSON.
+    /// Result of closing, as JSON.
     closed: Mutex<Option<String>>,
 }
 
@@ -140,7 +140,7 @@ impl Running {
         Self { run, inbox, lines, watched, recorder, closed: Mutex::default() }
     }
 
-    /// A copy of a packet, so that the graph has its memory back at once.
+    /// A copy of a packet, so that the graph's memory is released at once.
     fn packet(&self, heard: Heard) -> Packet {
         let Heard { port, frame, made_ns } = heard;
         let tick = frame.tick();
@@ -217,13 +217,14 @@ impl Running {
 
 #[pymethods]
 impl Running {
-    /// The packets that were made since the last call; waits for the first one at most so long. None when the run is over and all were taken.
+    /// The packets that were made since the last call; waits up to `most_s` for the first one. None when the run has
+    /// ended and all were taken.
     fn poll(&self, py: Python<'_>, most_s: f64) -> Option<Vec<Packet>> {
         let most = Duration::try_from_secs_f64(most_s).unwrap_or(Duration::ZERO);
         py.detach(|| self.wait(most))
     }
 
-    /// Log lines since the last call: level from 0 (error) to 3 (debug), node, words.
+    /// Log lines since the last call: level from 0 (error) to 3 (debug), node, message.
     fn log_lines(&self) -> Vec<(u8, String, String)> {
         self.lines.take().into_iter().map(|(level, node, words)| (level as u8, node, words)).collect()
     }
@@ -239,7 +240,7 @@ impl Running {
         self.run.engine().stop();
     }
 
-    /// Ends the run and completes its files; returns what it came to as JSON.
+    /// Ends the run and completes its files; returns the result as JSON.
     fn close(&self, py: Python<'_>, patience_s: f64) -> String {
         let patience = Duration::try_from_secs_f64(patience_s).unwrap_or(Duration::ZERO);
         py.detach(|| self.end(patience))
@@ -250,12 +251,12 @@ impl Running {
         py.detach(|| self.get_value(param)).map_err(|problem| problem.raise(py))
     }
 
-    /// Sets a parameter to a value in JSON, between two ticks; returns what changed.
+    /// Sets a parameter to a value in JSON, between two ticks; returns the changes.
     fn set(&self, py: Python<'_>, param: &str, json: &str) -> PyResult<String> {
         py.detach(|| self.set_value(param, json)).map_err(|problem| problem.raise(py))
     }
 
-    /// Makes the running graph the one of this text; returns what changed.
+    /// Replaces the running graph by the one in this text; returns the changes.
     fn apply(&self, py: Python<'_>, text: &str) -> PyResult<String> {
         let apply = || {
             let (live, _) = self.run.live()?;

@@ -3,7 +3,7 @@
 use panoscope_graph::{Catalog, Graph, ParamValue};
 use serde_json::{Value, json};
 
-/// A value for the text of a graph; the words of the error name what TOML does not have.
+/// A value for the text of a graph; fails for values that TOML does not have.
 pub fn to_toml(text: &str) -> Result<toml::Value, String> {
     let value: Value = serde_json::from_str(text).map_err(|error| error.to_string())?;
     toml::Value::try_from(value).map_err(|error| error.to_string())
@@ -23,7 +23,7 @@ pub fn to_json(value: &ParamValue) -> String {
     value.to_string()
 }
 
-/// Value of `node.param` as JSON; what is wrong with the name, in words.
+/// Value of `node.param` as JSON; fails for unknown names.
 pub fn value_of(graph: &Graph, catalog: &Catalog, param: &str) -> Result<String, String> {
     let (node, name) = param.rsplit_once('.').ok_or_else(|| format!("`{param}` is not NODE.PARAM"))?;
     let ids = || graph.nodes.iter().map(|node| node.id.as_str()).collect::<Vec<_>>().join(", ");

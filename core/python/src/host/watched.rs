@@ -1,9 +1,9 @@
-//! Outputs whose packets Python gets.
+//! Outputs whose packets Python receives.
 
 /// Source, number and capture time in ns.
 pub type TickParts = (u32, u64, i64);
 
-/// An output whose packets Python gets.
+/// An output whose packets Python receives.
 pub struct Watched {
     /// The node's name in the flattened graph.
     pub node: String,

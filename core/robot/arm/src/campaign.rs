@@ -1,4 +1,4 @@
-//! Random and hostile inputs for the interlock, and a checker that knows only the set-points and the limits.
+//! Random and hostile inputs for the interlock, and a checker that sees only set-points and limits.
 
 use nalgebra::Vector3;
 
@@ -10,7 +10,7 @@ use crate::interlock::{Cause, Evidence, Interlock, SetPoint, Settings, TubePose}
 pub struct Random(u64);
 
 impl Random {
-    /// From any seed.
+    /// A generator with this seed.
     pub fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
@@ -58,9 +58,10 @@ pub struct Outcome {
     pub set_points: u64,
     /// Number of set-points beyond a limit.
     pub escapes: u64,
-    /// The first of them, in words.
+    /// Description of the first of them.
     pub first: Option<String>,
-    /// Largest share of each limit used: angles (of the half range), speed, acceleration, jerk, camera speed, pivot, tilt.
+    /// Largest share of each limit used: angles (of the half range), speed, acceleration, jerk, camera speed, pivot,
+    /// tilt.
     pub most: [f64; 7],
     /// Number of inputs under each cause, by [`Cause::number`].
     pub causes: [u64; Cause::ALL.len() + 1],
@@ -133,7 +134,8 @@ impl Checker {
     }
 }
 
-/// Plays `cases` inputs, in runs of a few hundred from fresh interlocks. Most are hostile; some are sound, or the arm would never move.
+/// Plays `cases` inputs, in runs of a few hundred from fresh interlocks. Most are hostile; some are valid, because
+/// otherwise the arm would never move.
 pub fn run(chain: &Chain, seed: u64, cases: u64) -> Outcome {
     let mut random = Random::new(seed);
     let mut out = Outcome::default();
@@ -203,7 +205,7 @@ fn one_run(chain: &Chain, random: &mut Random, cases: u64, out: &mut Outcome) {
     }
 }
 
-/// A demand that turns about the trocar as fast as it can: the only kind that moves the arm far.
+/// A demand for rotation about the trocar at full speed, the only kind that moves the arm far.
 fn about_trocar(chain: &Chain, at: &SetPoint, random: &mut Random) -> JointVector {
     let stance = chain.stance(&at.position);
     let mut any = || (random.unit() - 0.5) * 400.0;

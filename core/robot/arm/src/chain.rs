@@ -1,7 +1,7 @@
 //! A chain of six turning joints read from URDF: forward kinematics and the geometric Jacobian.
 //!
-//! Lengths in mm, angles in rad. All joints at 0 is home. The link `scope_tip` ends the tube (z along it), `left_camera` is the camera (x right,
-//! y down, z forward), `trocar` is fixed to the base.
+//! Lengths in mm, angles in rad. All joints at 0 is home. The link `scope_tip` ends the tube (z along it),
+//! `left_camera` is the camera (x right, y down, z forward), `trocar` is fixed to the base.
 
 use nalgebra::{Isometry3, Point3, SMatrix, SVector, Translation3, Unit, UnitQuaternion, Vector3};
 use urdf_rs::{JointType, Robot};
@@ -67,7 +67,7 @@ impl Chain {
     /// The arm that comes with Panoscope.
     ///
     /// # Errors
-    /// None: a test reads the same text.
+    /// None in practice: a test parses the same text.
     pub fn shipped() -> Result<Self, ArmError> {
         Self::from_urdf(SHIPPED_URDF)
     }
@@ -75,7 +75,7 @@ impl Chain {
     /// Reads a URDF text.
     ///
     /// # Errors
-    /// No URDF, a link that is missing or misplaced, another number of joints, a limit that is malformed.
+    /// The text is not URDF, a link is missing or misplaced, the number of joints is wrong, or a limit is malformed.
     pub fn from_urdf(text: &str) -> Result<Self, ArmError> {
         let robot = urdf_rs::read_from_string(text).map_err(|error| ArmError::NoUrdf { reason: error.to_string() })?;
         let has = |link: &'static str, what: &'static str| {
@@ -171,7 +171,8 @@ impl Stance {
         out
     }
 
-    /// Velocity of a point fixed to the last link, and the link's angular velocity, per joint velocity, in the base's frame.
+    /// Velocity of a point fixed to the last link, and the link's angular velocity, per joint velocity, in the base's
+    /// frame.
     pub fn jacobian(&self, point_mm: &Point3<f64>) -> Jacobian {
         let mut out = Jacobian::zeros();
         for k in 0..JOINTS {
@@ -212,7 +213,7 @@ fn finite(joint: &urdf_rs::Joint, what: &'static str, value: f64) -> Result<f64,
     if value.is_finite() {
         return Ok(value);
     }
-    Err(ArmError::BadNumber { joint: joint.name.clone(), what, value, rule: "it has to be a number" })
+    Err(ArmError::BadNumber { joint: joint.name.clone(), what, value, rule: "it must be a number" })
 }
 
 fn origin(joint: &urdf_rs::Joint) -> Result<Isometry3<f64>, ArmError> {
@@ -234,7 +235,7 @@ fn turning(joint: &urdf_rs::Joint, parent_from_joint: Isometry3<f64>) -> Result<
     if lower_rad >= 0.0 || upper_rad <= 0.0 {
         let (what, value) =
             if lower_rad >= 0.0 { ("the lower limit", lower_rad) } else { ("the upper limit", upper_rad) };
-        return Err(bad(what, value, "home, all joints at 0, lies inside the limits"));
+        return Err(bad(what, value, "home, with all joints at 0, must be inside the limits"));
     }
     if speed_rad_s <= 0.0 {
         return Err(bad("the speed limit", speed_rad_s, "it is above 0"));

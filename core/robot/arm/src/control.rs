@@ -1,12 +1,13 @@
 //! Computes joint velocities from the tip's position (thesis, chapter 6, fig. 6.3).
 //!
-//! Goal: the tip at the centre of the picture that both cameras share (between the cameras, so `baseline / 2` beside the left one) and at a set
-//! distance from the left camera. Errors in px, px and mm go through one PID each; the interaction matrix makes a movement of the point of
-//! them; the tip's own movement is fed forward; [`task::solve`] makes joint velocities that turn about the trocar.
+//! Goal: the tip at the centre of the image that both cameras share (between the cameras, so `baseline / 2` beside
+//! the left one) and at a set distance from the left camera. Errors in px, px and mm go through one PID each; the
+//! interaction matrix makes a movement of the point of them; the tip's own movement is fed forward; [`task::solve`]
+//! computes joint velocities that turn about the trocar.
 //!
-//! The picture is old when the arm receives a command. Errors are therefore predicted: the tip moves at constant velocity, the arm follows the
-//! set-points that it has received (a predictor after Smith, 1957, with the arm's kinematics as its model). The integral sums the errors without
-//! prediction.
+//! The image is old when the arm receives a command. Errors are therefore predicted: the tip moves at constant
+//! velocity, the arm follows the set-points that it has received (a predictor after Smith, 1957, with the arm's
+//! kinematics as its model). The integral sums the errors without prediction.
 
 use nalgebra::{Point3, Vector3};
 use panoscope_tracking::kalman::{Kalman, Model, stereo_covariance};
@@ -20,13 +21,13 @@ use crate::task::{self, Errors, Wanted};
 pub struct Goals {
     /// Distance of the tip from the left camera, mm.
     pub distance_mm: f64,
-    /// Gains of the position in the picture; the unit E is px.
+    /// Gains of the position in the image; the unit E is px.
     pub picture: Gains,
     /// Gains of the distance; the unit E is mm.
     pub distance: Gains,
     /// Share of the tip's own movement that is fed forward.
     pub feed_forward: f64,
-    /// Time from the picture to the arm's movement that the set-points do not contain, s.
+    /// Time from the image to the arm's movement that the set-points do not contain, s.
     pub latency_s: f64,
     /// Standard deviation of the tip's unknown acceleration, mm/s^2.
     pub acceleration_mm_s2: f64,
@@ -73,16 +74,16 @@ pub struct Step {
 
 /// A longer time between ticks resets the controller, s.
 const MAX_TICK_S: f64 = 0.25;
-/// Standard deviation of a tip in the picture and of its disparity, px.
+/// Standard deviation of a tip in the image and of its disparity, px.
 const LATERAL_PX: f64 = 1.0;
 const DISPARITY_PX: f64 = 0.5;
 /// Range of accepted depths of the tip, mm.
 const NEAREST_MM: f64 = 5.0;
 const FARTHEST_MM: f64 = 1000.0;
-/// A movement counts as limited when less than this share of it was carried out; slower movements (rad/s) are not checked.
+/// Minimum movement that is checked for limiting, rad/s.
 const MIN_RAD_S: f64 = 0.01;
 const CARRIED: f64 = 0.5;
-/// Longest time over which an old tip is predicted, s: the interlock follows none that is older.
+/// Maximum time over which an old tip is predicted, s; the interlock follows no older tip.
 const MAX_AGE_S: f64 = 0.3;
 /// Largest joint angle accepted, rad.
 const FARTHEST_RAD: f64 = 100.0;
@@ -117,7 +118,7 @@ pub fn errors(point_mm: &Vector3<f64>, cameras: &CameraGeometry, distance_mm: f6
 }
 
 impl Controller {
-    /// A controller of an arm. The picture stays as upright as it is at home.
+    /// A controller of an arm. The image stays as upright as it is at home.
     pub fn new(chain: Chain) -> Self {
         let home = chain.stance(&JointVector::zeros());
         let up = home.base_from_camera * -Vector3::y();
@@ -148,7 +149,8 @@ impl Controller {
         self.set_point = None;
     }
 
-    /// Whether the last movement was not carried out: joint limits reduced it, or the set-points moved by less than half of it.
+    /// Whether the last movement was not carried out: joint limits reduced it, or the set-points moved by less than
+    /// half of it.
     fn is_limited(&self, set_point: Option<&JointVector>, dt_s: f64) -> bool {
         let went = set_point.zip(self.set_point).map(|(now, then)| (now - then) / dt_s.max(1e-6));
         let speed = self.asked.norm();
@@ -156,8 +158,8 @@ impl Controller {
         self.share < 1.0 - 1e-9 || is_behind
     }
 
-    /// Processes one tick: the tip of a picture taken at `taken_ns` in real time, the joint angles at that time, and the newest set-points if they are known.
-    /// None while no tip can be followed.
+    /// Processes one tick: the tip of an image taken at `taken_ns` in real time, the joint angles at that time, and
+    /// the newest set-points if they are known. `None` while no tip can be followed.
     pub fn step(
         &mut self,
         taken_ns: i64,

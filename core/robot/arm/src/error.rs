@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// Why an arm cannot be used.
+/// An arm that cannot be used.
 #[derive(Debug, Error)]
 pub enum ArmError {
     /// The text is not a URDF.
@@ -16,17 +16,17 @@ pub enum ArmError {
     NoLink {
         /// Name of the link.
         link: &'static str,
-        /// What it names.
+        /// Meaning of the name.
         what: &'static str,
     },
     /// Links that form a cycle.
-    #[error("the links of the arm's description go round in a circle at `{link}`")]
+    #[error("the links of the arm's description have a cycle at `{link}`")]
     Circle {
         /// One of them.
         link: String,
     },
     /// Another number of axes.
-    #[error("{count} joints move between the base and `left_camera`, this software drives 6")]
+    #[error("{count} joints move between the base and `left_camera`, but this software supports exactly 6")]
     WrongAxes {
         /// Axes found.
         count: usize,
@@ -39,12 +39,12 @@ pub enum ArmError {
         /// Its type.
         kind: String,
     },
-    /// A link at the wrong place in the chain.
-    #[error("link `{link}` does not hang where it has to: {rule}")]
+    /// A link at the wrong position in the chain.
+    #[error("link `{link}` has the wrong parent: {rule}")]
     Misplaced {
         /// Name of the link.
         link: &'static str,
-        /// The rule for its place.
+        /// The rule for its position.
         rule: String,
     },
     /// An invalid number.
@@ -52,7 +52,7 @@ pub enum ArmError {
     BadNumber {
         /// Name of the joint.
         joint: String,
-        /// What the number is.
+        /// Meaning of the number.
         what: &'static str,
         /// The number.
         value: f64,

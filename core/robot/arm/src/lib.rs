@@ -1,8 +1,8 @@
 //! A camera arm as plain mathematics, without any framework type.
 //!
-//! [`chain`] reads an arm from URDF; [`control`] makes joint velocities of where the tip is; [`interlock`]
-//! stands between any controller and any arm; [`dynamics`] is an arm to try all that on, and [`tuning`] finds gains on it. Lengths in mm, angles in rad, times in ns on one
-//! clock that the caller owns. Source of the task: thesis, chapter 6 (figs 6.2, 6.3).
+//! [`chain`] reads an arm from URDF; [`control`] computes joint velocities from the tip's position; [`interlock`] sits
+//! between any controller and any arm; [`dynamics`] simulates an arm, and [`tuning`] finds gains on it. Lengths in mm,
+//! angles in rad, times in ns on one clock that the caller owns. Source of the task: thesis, chapter 6 (figs 6.2, 6.3).
 
 #![forbid(unsafe_code)]
 

@@ -1,8 +1,8 @@
 //! The line protocol between a driver and an arm's controller, version 2.
 //!
-//! Lines of ASCII end with a line feed. Each ends with `*` and eight upper-case hexadecimal digits: the CRC-32 (IEEE 802.3, as in zlib) of all bytes
-//! before the `*`. Angles are whole microradians, speeds whole microradians per second, in the order of the joints from the base. `SEQ` counts
-//! the driver's lines from 0 to 999999 and starts again at 0.
+//! Lines of ASCII end with a line feed. Each ends with `*` and eight upper-case hexadecimal digits: the CRC-32 (IEEE
+//! 802.3, as in zlib) of all bytes before the `*`. Angles are whole microradians, speeds whole microradians per second,
+//! in the order of the joints from the base. `SEQ` counts the driver's lines from 0 to 999999 and wraps to 0.
 //!
 //! | line | from | meaning |
 //! |---|---|---|
@@ -13,11 +13,13 @@
 //! | `C SEQ*CRC` | driver | clears the arm's own stop, after a person's reset |
 //! | `A SEQ STATE P1 P2 P3 P4 P5 P6*CRC` | arm | answer to `Q`, `S` and `C` with their `SEQ`: state and encoder angles |
 //!
-//! STATE is `R` (ready), `W` (stopped by its watchdog), `E` (hardware stop pressed) or `F` (fault of the hardware). The arm has a watchdog of its own:
-//! while it moves and no valid `S` line arrives for 30 ms, it brakes, holds, and answers `W` until `C`. It ignores lines with a wrong CRC and
-//! lines that it does not know. So the arm stops when the driver, the program or the cable fails.
+//! STATE is `R` (ready), `W` (stopped by its watchdog), `E` (hardware stop pressed) or `F` (fault of the hardware). The
+//! arm has its own watchdog: while it moves and no valid `S` line arrives for 30 ms, it brakes, holds, and answers `W`
+//! until `C`. It ignores lines with a wrong CRC and lines that it does not know. So the arm stops when the driver, the
+//! program or the cable fails.
 //!
-//! Version 1 had an exclusive-or of 8 bits, which accepts every 15th line that lost two bytes. [`Received::OlderProtocol`] detects it.
+//! Version 1 had an exclusive-or of 8 bits, which accepts every 15th line that lost two bytes.
+//! [`Received::OlderProtocol`] detects it.
 
 use crate::chain::{JOINTS, JointVector};
 
@@ -25,11 +27,11 @@ use crate::chain::{JOINTS, JointVector};
 pub const VERSION: u32 = 2;
 /// Longest line, bytes; more bytes without a line feed are garbage.
 pub const MAX_LEN: usize = 256;
-/// Numbers of lines start again at 0 here.
+/// Line numbers wrap to 0 at this value.
 pub const SEQ_END: u32 = 1_000_000;
 /// Length of a CRC in a line: `*` and its digits.
 const TAIL: usize = 9;
-/// Largest angle or speed of a line, in millionths.
+/// Maximum angle or speed of a line, in millionths.
 const MAX_MICRO: i64 = 9_000_000_000;
 
 /// Serial number of a device: 1 to 32 letters, digits and `-`.
@@ -93,7 +95,8 @@ impl DeviceState {
     }
 }
 
-/// One line of the protocol. `seq` is the number of the driver's line; an answer carries the number of the line that it answers.
+/// One line of the protocol. `seq` is the number of the driver's line; an answer carries the number of the line that it
+/// answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
     /// `H`.
@@ -228,7 +231,7 @@ fn vector(words: &mut std::str::Split<'_, char>) -> Option<JointVector> {
     Some(out)
 }
 
-/// Whether a line is an answer of version 1: `A SEQ STATE P1..P6*CC`.
+/// Whether a line is an answer in version 1 of the protocol: `A SEQ STATE P1..P6*CC`.
 fn is_version_1(bytes: &[u8]) -> bool {
     let bytes = bytes.strip_suffix(b"\r").unwrap_or(bytes);
     let Some((body, tail)) = bytes.len().checked_sub(3).map(|at| bytes.split_at(at)) else { return false };
@@ -262,7 +265,7 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Takes bytes and calls `each` with every line. Allocates nothing after the first [`MAX_LEN`] bytes.
+    /// Adds bytes and calls `each` with every line. Allocates nothing after the first [`MAX_LEN`] bytes.
     pub fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Received)) {
         self.held.reserve(MAX_LEN.saturating_sub(self.held.len()));
         for &byte in bytes {

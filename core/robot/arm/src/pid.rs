@@ -1,21 +1,22 @@
-//! A discrete PID (after Astrom and Hagglund, "Advanced PID Control", 2006). The derivative is that of the filtered measurement, so that a new
-//! set-point causes no kick; the integral stops while the output is not carried out (anti-windup); small errors are ignored (dead zone).
+//! A discrete PID (after Astrom and Hagglund, "Advanced PID Control", 2006). The derivative is that of the filtered
+//! measurement, so that a new set-point causes no kick; the integral stops while the output is limited (anti-windup);
+//! small errors are ignored (dead zone).
 
 /// Gains of one channel whose error is in some unit E and whose output is in E/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains {
-    /// 1/s.
+    /// Gain of the proportional part, 1/s.
     pub proportional: f64,
-    /// 1/s^2.
+    /// Gain of the integral part, 1/s^2.
     pub integral: f64,
-    /// 1.
+    /// Gain of the derivative part, without unit.
     pub derivative: f64,
-    /// Time constant of the derivative's filter, a first-order low-pass, s: what moves faster than this counts as noise. Of a sampled
-    /// measurement at least one step.
+    /// Time constant of the derivative's filter, a first-order low-pass, s: faster changes count as noise. At least one
+    /// step for a sampled measurement.
     pub filter_s: f64,
-    /// Errors below this count as none, E.
+    /// Errors below this count as 0, E.
     pub dead_zone: f64,
-    /// Largest output, E/s.
+    /// Maximum output, E/s.
     pub most: f64,
 }
 
@@ -28,7 +29,7 @@ pub struct Sample {
     pub slow_error: f64,
     /// Measurement of the derivative part, E: rises with the error, but does not jump with the set-point.
     pub measured: f64,
-    /// Whether the last output was not carried out.
+    /// Whether the last output was limited.
     pub is_limited: bool,
 }
 
@@ -44,7 +45,7 @@ impl Sample {
 pub struct Pid {
     integral: f64,
     slope: f64,
-    /// The previous measurement.
+    /// The previous measurement, E.
     last: Option<f64>,
 }
 
@@ -59,10 +60,11 @@ impl Pid {
         *self = Self::default();
     }
 
-    /// Advances by `dt_s` and returns the output, E/s. A step of no time, or a sample that is not finite, returns 0 and changes nothing.
+    /// Advances by `dt_s` and returns the output, E/s. A step of no time, or a sample that is not finite, returns 0 and
+    /// changes nothing.
     ///
-    /// At its own limit, and while `is_limited`, the integral only decreases in size. Within the dead zone the derivative fades to 0, so that noise
-    /// does not move an arm at rest.
+    /// At its own limit, and while `is_limited`, the integral only decreases in size. Within the dead zone the
+    /// derivative fades to 0, so that noise does not move an arm at rest.
     pub fn step(&mut self, gains: &Gains, sample: &Sample, dt_s: f64) -> f64 {
         let Sample { error, slow_error, measured, is_limited } = *sample;
         if !((error + slow_error + measured).is_finite() && dt_s > 0.0 && dt_s.is_finite()) {

@@ -1,7 +1,8 @@
-//! The closed loop without pictures: tracker, controller, interlock and simulated arm as the nodes use them, with scripted tips.
+//! The closed loop without images: tracker, controller, interlock and simulated arm as the nodes use them, with
+//! scripted tips.
 //!
-//! As in the graph, the cameras are where the arm was one tick ago, and the tip is known only while it is in the left picture, with the noise of
-//! stereo. Used to find and evaluate gains quickly; the graph is evaluated too.
+//! As in the graph, the cameras are where the arm was one tick ago, and the tip is known only while it is in the left
+//! image, with the noise of stereo. Finds and evaluates gains quickly; the graph is evaluated separately.
 
 use nalgebra::{Point3, Vector3};
 use panoscope_tracking::kalman::Model;
@@ -14,7 +15,7 @@ use crate::dynamics::{Quality, SimArm};
 use crate::interlock::{Evidence, Interlock, TubePose};
 use crate::pid::Gains;
 
-/// Left picture of the thesis's scope, px.
+/// Left image of the thesis's scope, px.
 const WIDTH_PX: f64 = 640.0;
 const HEIGHT_PX: f64 = 480.0;
 const FOCAL_PX: f64 = 750.0;
@@ -35,9 +36,9 @@ pub enum Scenario {
     Circle,
     /// Strokes like a surgeon's at up to 25 mm/s.
     Strokes,
-    /// The tool leaves the picture and returns.
+    /// The tool leaves the image and returns.
     Leave,
-    /// Another tool passes in front; detections have no numbers.
+    /// Another tool passes in front; detections have no track numbers.
     Cross,
     /// Strokes; the tip is hidden for 0.2 s every 2 s.
     Occlusion,
@@ -59,7 +60,7 @@ impl Scenario {
         Self::Smoke,
     ];
 
-    /// Name.
+    /// Name of the scenario.
     pub fn name(self) -> &'static str {
         match self {
             Self::Rest => "rest",
@@ -75,8 +76,8 @@ impl Scenario {
     }
 }
 
-/// Default set-points and gains: those of `arm_pid` (a test there compares them). Near the result of `panoscope tune`, with less derivative: more of
-/// it lowers the error by a few percent, but the camera shakes by a third more.
+/// Default set-points and gains: those of `arm_pid` (a test there compares them). Near the result of `panoscope tune`,
+/// with less derivative: more of it lowers the error by a few percent, but the camera shakes by a third more.
 pub fn shipped_goals() -> Goals {
     let gains =
         Gains { proportional: 6.0, integral: 0.2, derivative: 0.2, filter_s: 0.08, dead_zone: 2.0, most: 250.0 };
@@ -91,20 +92,20 @@ pub fn shipped_goals() -> Goals {
     }
 }
 
-/// One tick.
+/// State after one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
     /// Time, s.
     pub at_s: f64,
     /// Distance of the true tip from its set-point, mm.
     pub error_mm: f64,
-    /// Error of the true tip in the picture, px.
+    /// Error of the true tip in the image, px.
     pub error_px: [f64; 2],
     /// Error of its distance from the left camera, mm.
     pub distance_error_mm: f64,
-    /// Whether it is in the left picture.
+    /// Whether the true tip is in the left image.
     pub in_view: bool,
-    /// Whether something hides it there.
+    /// Whether the tip is hidden in the left image.
     pub is_hidden: bool,
     /// Whether the scenario hides or removes it.
     pub is_away: bool,
@@ -129,7 +130,7 @@ struct Stroke {
     length_s: f64,
 }
 
-/// Minimum-jerk rise from 0 to 1; its top speed is 15/8.
+/// Minimum-jerk rise from 0 to 1; its peak speed is 15/8.
 fn bell(t: f64) -> f64 {
     let t = t.clamp(0.0, 1.0);
     t * t * t * (10.0 - t * (15.0 - 6.0 * t))
@@ -307,37 +308,36 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
 /// Measures of a run, from `START_S` on.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Measures {
-    /// Root mean square and largest error, mm.
-    /// NaN where no tick with a known tip was judged.
+    /// Root mean square error, mm; NaN without a tick with a known tip.
     pub rms_mm: f64,
     /// Largest error, mm; NaN without a tick with a known tip.
     pub max_mm: f64,
     /// Standard deviation of the error, mm.
     pub deviation_mm: f64,
-    /// Share of ticks with the tip in the picture, of those in which the scenario has it there, %.
+    /// Share of ticks with the tip in the image, of those in which the scenario has it there, %.
     pub in_view_pct: f64,
     /// Share of those ticks in which the tip was hidden or not found, %.
     pub hidden_pct: f64,
-    /// Share of those ticks in which the tracker saw the tip instead of predicting it, %.
+    /// Share of those ticks in which the tip was observed and not predicted, %.
     pub tip_seen_pct: f64,
     /// Root mean square distance of the tracker's tip from the true one, mm; NaN if it never had one.
     pub track_off_mm: f64,
     /// Largest distance of the tube from the trocar in the whole run, mm.
     pub pivot_mm: f64,
-    /// Mean error in the picture over the last second, % of its width.
+    /// Mean error in the image over the last second, % of its width.
     pub rest_pct: f64,
     /// Mean error of the distance over the last second, mm.
     pub rest_mm: f64,
-    /// Root mean square acceleration of the camera, mm/s^2: how steady the picture is.
+    /// Root mean square acceleration of the camera, mm/s^2: how steady the image is.
     pub shake_mm_s2: f64,
-    /// Settling time: from the end of the tip's first movement until the error stays below 2 mm for a second, s; NaN if the error never exceeds 2 mm
-    /// or never settles.
+    /// Settling time: from the end of the tip's first movement until the error stays below 2 mm for a second, s; NaN if
+    /// the error never exceeds 2 mm or never settles.
     pub settling_s: f64,
-    /// Overshoot in percent of the step; NaN likewise.
+    /// Overshoot in percent of the step; NaN under the same conditions.
     pub overshoot_pct: f64,
 }
 
-/// Measures rows.
+/// Computes the measures of a run.
 pub fn measure(rows: &[Row]) -> Measures {
     let judged: Vec<&Row> = rows.iter().filter(|row| row.at_s >= START_S && !row.is_away).collect();
     let known = || judged.iter().map(|r| r.error_mm).filter(|e| e.is_finite());

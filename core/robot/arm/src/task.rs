@@ -1,7 +1,8 @@
 //! Joint velocities for several tasks with priorities: first the trocar, then the tip and the horizon.
 //!
-//! Two ranks of tasks: the second works in the null space of the first (Siciliano and Slotine 1991), by damped least squares whose
-//! damping grows near singular poses (Nakamura and Hanafusa 1986). Joints that near a limit slow the whole movement, so that it keeps its shape.
+//! Two ranks of tasks: the second works in the null space of the first (Siciliano and Slotine 1991), by damped least
+//! squares whose damping grows near singular poses (Nakamura and Hanafusa 1986). Joints that near a limit slow the
+//! whole movement, so that it keeps its shape.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3, Vector4};
 
@@ -11,23 +12,23 @@ use crate::chain::{Chain, JOINTS, JointVector, Stance};
 const SINGULAR_BELOW: f64 = 0.25;
 /// Damping at a singular pose.
 const MAX_DAMPING: f64 = 0.25;
-/// Rows in mm become numbers near 1.
+/// Scale that brings rows in mm near 1.
 const ROW_SCALE_MM: f64 = 100.0;
-/// Largest speed towards a joint limit per distance left, 1/s.
+/// Maximum speed towards a joint limit per remaining distance, 1/s.
 const LIMIT_RATE: f64 = 3.0;
 /// Margin before joint limits, rad.
 const LIMIT_ROOM_RAD: f64 = 0.03;
 /// Rate at which an offset from the trocar decays, 1/s.
 const PIVOT_RATE: f64 = 8.0;
-/// Rate at which a tilt of the horizon decays, 1/s.
+/// Rate at which a roll of the horizon decays, 1/s.
 const ROLL_RATE: f64 = 2.0;
 
-/// A requested movement of the picture.
+/// A requested movement of the image.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
     /// The observed point in the left camera's frame, mm.
     pub point_mm: Vector3<f64>,
-    /// Velocity of the point in the camera's frame that the camera's movement shall cause, mm/s.
+    /// Velocity of the point in the camera's frame that the camera's movement must cause, mm/s.
     pub velocity_mm_s: Vector3<f64>,
 }
 
@@ -42,7 +43,7 @@ pub struct Solution {
     pub share: f64,
 }
 
-/// Rotation of the picture about the tube's axis, relative to the direction `up` (in the base's frame), rad.
+/// Rotation of the image about the tube's axis, relative to the direction `up` (in the base's frame), rad.
 pub fn roll_rad(stance: &Stance, up: &Vector3<f64>) -> f64 {
     let seen = stance.base_from_camera.inverse_transform_vector(up);
     seen.x.atan2(-seen.y)
@@ -100,7 +101,7 @@ pub fn solve(chain: &Chain, angles_rad: &JointVector, stance: &Stance, up: &Vect
     Solution { velocity: velocity * share, singular, share }
 }
 
-/// Share of a movement with which every joint can stop before its limit.
+/// Share of a movement at which every joint can still stop before its limit.
 fn limit_share(chain: &Chain, angles_rad: &JointVector, velocity: &JointVector) -> f64 {
     let mut share: f64 = 1.0;
     for (k, joint) in chain.joints().iter().enumerate() {
@@ -114,8 +115,8 @@ fn limit_share(chain: &Chain, angles_rad: &JointVector, velocity: &JointVector) 
     share
 }
 
-/// Errors (px, px, mm) per movement of the point (mm): how the place in the picture, less the place of the centre between the cameras, and the
-/// distance from the camera change (Chaumette and Hutchinson 2006).
+/// Errors (px, px, mm) per movement of the point (mm): the change of the image position, relative to the centre between
+/// the cameras, and of the distance from the camera (Chaumette and Hutchinson 2006).
 pub fn interaction(point_mm: &Vector3<f64>, focal_px: (f64, f64), centre_x_mm: f64) -> Matrix3<f64> {
     let (p, (fx, fy)) = (point_mm, focal_px);
     let (z, range) = (p.z, p.norm());

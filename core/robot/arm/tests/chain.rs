@@ -148,7 +148,7 @@ fn wrong_files_are_refused_with_the_place() {
             "`bend` is Prismatic",
         ),
         (&SHIPPED_URDF.replace("lower=\"-1.4\"", "lower=\"NaN\""), "`bend`: the lower limit is NaN"),
-        (&SHIPPED_URDF.replace("lower=\"-1.4\"", "lower=\"0.4\""), "home, all joints at 0"),
+        (&SHIPPED_URDF.replace("lower=\"-1.4\"", "lower=\"0.4\""), "home, with all joints at 0"),
         (
             &SHIPPED_URDF.replace("effort=\"40\" velocity=\"0.4\"", "effort=\"40\" velocity=\"0\""),
             "`bend`: the speed limit is 0",

@@ -8,7 +8,7 @@ use panoscope_arm_core::{Chain, JointVector};
 const SEEN: Evidence = Evidence { score: 0.9, in_space: true };
 const MS: i64 = 1_000_000;
 
-/// What one tick tells the interlock.
+/// Input of the interlock in one tick.
 type Tick = fn(&mut Interlock, i64);
 
 fn lock() -> Interlock {

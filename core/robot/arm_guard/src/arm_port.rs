@@ -1,4 +1,4 @@
-//! What the guard's loop needs of a connection to an arm, whatever its protocol.
+//! Interface of the guard's loop to an arm, independent of the protocol.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use panoscope_arm_core::{Cause, JointVector};
 
 use crate::port::PortError;
 
-/// What the arm reports about itself.
+/// Identity that the arm reports.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Identity {
     /// Serial number.
@@ -21,13 +21,13 @@ pub struct Identity {
 pub struct Answer {
     /// Encoder angles, rad.
     pub encoders: JointVector,
-    /// Why the arm stopped by itself, or must not move; `None` when it follows set-points.
+    /// Cause of the arm's own stop; `None` when it follows set-points.
     pub stop: Option<Cause>,
-    /// When the question was sent that the answer belongs to, ns: an answer that was held up on its way counts as old as its question.
+    /// Send time of the answered question, ns, so that a delayed answer counts as old as its question.
     pub answered_ns: i64,
     /// Time of the encoder angles, ns, on a clock that only these times share.
     pub measured_ns: i64,
-    /// Damaged answers, and answers to no question, since the last valid one.
+    /// Damaged or unmatched answers since the last valid one.
     pub damaged: u32,
 }
 
@@ -37,12 +37,13 @@ impl Default for Answer {
     }
 }
 
-/// An open connection to an arm. Each call but `listen` sends one numbered question; the arm's answer says which one it has seen last.
+/// An open connection to an arm. Each call but `listen` sends one numbered question; the arm's answer states the last
+/// question that it received.
 pub trait ArmPort {
     /// Reads all answers that have arrived.
     ///
     /// # Errors
-    /// The connection was lost, or what arrives cannot be read.
+    /// The connection was lost, or the received data cannot be parsed.
     fn listen(&mut self) -> Result<(), PortError>;
 
     /// Asks for the state. Adds no movement.
@@ -57,7 +58,7 @@ pub trait ArmPort {
     /// The connection was lost.
     fn set(&mut self, position: &JointVector, velocity: &JointVector) -> Result<(), PortError>;
 
-    /// Asks the arm to clear its own stop, after a person's reset. [`Answer::stop`] says whether it did.
+    /// Asks the arm to clear its own stop, after a person's reset. [`Answer::stop`] shows whether it did.
     ///
     /// # Errors
     /// The connection was lost.
@@ -66,7 +67,7 @@ pub trait ArmPort {
     /// The newest answer.
     fn answer(&self) -> &Answer;
 
-    /// Starts counting damaged answers again.
+    /// Resets the count of damaged answers.
     fn forgive(&mut self);
 
     /// The arm's identity as it was last reported.

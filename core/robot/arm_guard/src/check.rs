@@ -1,4 +1,5 @@
-//! What the guard may do on this machine, for `panoscope doctor`: `panoscope-arm --check` tries it and writes the result.
+//! Checks the guard's permissions on this machine: `panoscope-arm --check` tries them and writes the result for
+//! `panoscope doctor`.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -12,23 +13,23 @@ use crate::realtime::{self, Granted};
 /// File systems in memory: TMPFS_MAGIC and RAMFS_MAGIC of `linux/magic.h`.
 const IN_MEMORY: [rustix::fs::FsWord; 2] = [0x0102_1994, 0x8584_58f6];
 
-/// What was granted, and why not more.
+/// Permissions granted, and the reasons for those that were not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Check {
-    /// What the system granted.
+    /// Rights that the system granted.
     pub granted: Granted,
     /// Highest real-time priority (RLIMIT_RTPRIO); `None` for no limit.
     pub priority_limit: Option<u64>,
-    /// Most locked memory (RLIMIT_MEMLOCK), KiB; `None` for no limit.
+    /// Maximum locked memory (RLIMIT_MEMLOCK), KiB; `None` for no limit.
     pub memory_limit_kib: Option<u64>,
     /// Folder of latched stops.
     pub folder: PathBuf,
-    /// Why stops cannot be kept there; `None` where they can.
+    /// The reason why stops cannot be kept there; `None` if they can.
     pub folder_problem: Option<String>,
 }
 
 impl Check {
-    /// Tries everything.
+    /// Requests all permissions.
     pub fn run(latches: Option<&Path>) -> Self {
         let limit = |resource| getrlimit(resource).current;
         let (folder, folder_problem) = match latches.map_or_else(latch::folder, |folder| Ok(folder.to_owned())) {
@@ -47,7 +48,7 @@ impl Check {
         }
     }
 
-    /// What was granted, what was not with its remedy: whether it is fine, what it is, about it.
+    /// The findings: whether it is granted, its name, and details with a remedy if it is not.
     pub fn findings(&self) -> [(bool, &'static str, String); 3] {
         let number = |value: Option<u64>| value.map_or_else(|| "no limit".to_owned(), |n| n.to_string());
         let priority = if self.granted.real_time {
@@ -73,7 +74,7 @@ impl Check {
             None => folder.to_string(),
             Some(problem) => {
                 format!(
-                    "{folder}: {problem}; set {} to a folder on a disk that this user may write",
+                    "{folder}: {problem}; set {} to a folder on a disk that this user can write",
                     latch::FOLDER_VARIABLE
                 )
             }
@@ -85,7 +86,7 @@ impl Check {
         ]
     }
 
-    /// A line per finding: `ok` or `absent`, what it is, about it; tabs between them.
+    /// A line per finding: `ok` or `absent`, name and details, separated by tabs.
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
         self.findings().iter().try_for_each(|(is_fine, what, about)| {
             writeln!(out, "{}\t{what}\t{}", if *is_fine { "ok" } else { "absent" }, about.replace(['\n', '\t'], " "))
@@ -93,7 +94,7 @@ impl Check {
     }
 }
 
-/// Why stops cannot be kept in a folder: it cannot be written, or loses its files when the machine restarts.
+/// The reason why stops cannot be kept in a folder: it is not writable, or loses its files when the machine restarts.
 fn folder_problem(folder: &Path) -> Option<String> {
     // The guard creates the folder: the first one above it that exists decides.
     let existing = folder.ancestors().find(|folder| folder.is_dir())?;

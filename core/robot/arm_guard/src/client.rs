@@ -27,20 +27,20 @@ pub const PROGRAM: &str = "panoscope-arm";
 pub const PROGRAM_VARIABLE: &str = "PANOSCOPE_ARM";
 /// Time limit of the guard's start.
 const START_WITHIN: Duration = Duration::from_secs(5);
-/// Time without a report of a guard that last followed, after which it counts as gone, ns. It reports every 10 ms.
+/// Silence after which a guard that followed counts as gone, ns. It reports every 10 ms.
 const SILENT_NS: i64 = 250_000_000;
-/// Time limit of its end: it brakes the arm first.
+/// Time limit of its end, which includes braking the arm.
 const END_WITHIN: Duration = Duration::from_secs(3);
 
-/// Errors of the client.
+/// Error of the client.
 #[derive(Debug, Error)]
 pub enum GuardError {
     /// The guard's program is not installed.
     #[error(
-        "`{PROGRAM}` is not beside the program ({looked}); install Panoscope completely, or set {PROGRAM_VARIABLE} to its path"
+        "`{PROGRAM}` is not next to the program ({looked}); install Panoscope completely, or set {PROGRAM_VARIABLE} to its path"
     )]
     NoProgram {
-        /// Where it was looked for.
+        /// Locations that were searched.
         looked: String,
     },
     /// The program cannot be started.
@@ -51,14 +51,14 @@ pub enum GuardError {
         /// The system's error.
         cause: io::Error,
     },
-    /// The guard refuses: the arm is not there, or in use.
+    /// The guard refuses because the arm is absent or in use.
     #[error("{0}")]
     Refused(String),
     /// The guard does not report.
     #[error("the arm's guard did not report within {} s", START_WITHIN.as_secs())]
     Silent,
-    /// Standard input is no socket.
-    #[error("standard input is no socket: {0}")]
+    /// Standard input is not a socket.
+    #[error("standard input is not a socket: {0}")]
     NoSocket(io::Error),
 }
 
@@ -72,10 +72,10 @@ pub fn inherited_socket() -> Result<OwnedFd, GuardError> {
     Ok(stdin)
 }
 
-/// The program: [`PROGRAM_VARIABLE`], else beside the running program or one folder above it.
+/// The program: [`PROGRAM_VARIABLE`], else next to the running program or one folder above it.
 ///
 /// # Errors
-/// It is not there.
+/// It does not exist.
 pub fn program() -> Result<PathBuf, GuardError> {
     if let Some(path) = std::env::var_os(PROGRAM_VARIABLE).filter(|value| !value.is_empty()) {
         return Ok(path.into());
@@ -99,8 +99,8 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Starts the guard of an arm; an empty `urdf` is the shipped arm. `latches` is the folder of latched stops, `None` the usual one. Waits until
-    /// the guard has found the arm.
+    /// Starts the guard of an arm; an empty `urdf` is the shipped arm. `latches` is the folder of latched stops; `None`
+    /// for the default. Waits until the guard has found the arm.
     ///
     /// # Errors
     /// The guard is not installed, or does not find the arm: the error gives its reason.
@@ -200,8 +200,8 @@ impl Guard {
         }
     }
 
-    /// The newest state. Calls `event` once for each new event. `None` when the guard has ended. A guard that hangs or was stopped while it
-    /// followed does not report: the arm's own watchdog holds the arm then, and the state is [`Cause::GuardGone`].
+    /// The newest state. Calls `event` once for each new event. `None` when the guard has ended. If a guard stops
+    /// reporting while it followed, the arm's own watchdog holds the arm and the state is [`Cause::GuardGone`].
     pub fn status(&mut self, mut event: impl FnMut(Event)) -> Option<Status> {
         let mut has_reported = false;
         while let Some(report) = self.receive() {

@@ -1,5 +1,5 @@
-//! The dashboard server of a Universal Robots controller: lines of text over TCP. Only a question is asked here; it can start, stop and unlock the
-//! robot, and nothing here does.
+//! The dashboard server of a Universal Robots controller: lines of text over TCP. It can start, stop and unlock the
+//! robot; this module only sends a query.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::time::Duration;
@@ -18,7 +18,7 @@ pub(crate) const UPDATE: &str =
 /// Asks the dashboard server for the serial number of the arm, which RTDE does not give.
 ///
 /// # Errors
-/// Nothing answers there, or it is no dashboard server, or one of an older version.
+/// Nothing answers, or the answer is not that of a dashboard server of a supported version.
 pub(crate) fn serial_number(host: &str, port: u16) -> Result<Serial, PortError> {
     let place = format!("{host}:{port}");
     let failed = |cause| PortError::NotReached { place: place.clone(), cause };
@@ -39,7 +39,7 @@ pub(crate) fn serial_number(host: &str, port: u16) -> Result<Serial, PortError> 
     let answer = line.trim();
     // Of whatever answers here, a message quotes a little.
     let quoted: String = answer.chars().take(60).flat_map(char::escape_debug).collect();
-    Serial::new(&format!("UR-{answer}"))
-        .filter(|_| answer.starts_with(|c: char| c.is_ascii_digit()))
-        .ok_or_else(|| unsuitable(format!("the dashboard server gives no serial number but `{quoted}`"), UPDATE))
+    Serial::new(&format!("UR-{answer}")).filter(|_| answer.starts_with(|c: char| c.is_ascii_digit())).ok_or_else(|| {
+        unsuitable(format!("the dashboard server returned `{quoted}` instead of a serial number"), UPDATE)
+    })
 }

@@ -8,8 +8,9 @@
 //! | `released` | the arm was released and the process ended without leaving it at rest: counts as a latched stop |
 //! | `latched N` | the stop with number N was latched |
 //!
-//! A stop is never forgotten when the disk is full: the file then still says `released`, which counts as a stop. A release that cannot be written does not
-//! happen. A file that cannot be read, or whose checksum is wrong, counts as a latched stop.
+//! A full disk never loses a stop: the file then still contains `released`, which counts as a stop. A release that
+//! cannot be written does not take effect. A file that cannot be read, or whose checksum is wrong, counts as a latched
+//! stop.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -22,24 +23,24 @@ use thiserror::Error;
 
 /// Variable that names the folder of the latches.
 pub const FOLDER_VARIABLE: &str = "PANOSCOPE_ARM_STATE";
-/// Folder of the whole machine; used where it exists.
+/// Folder of the whole machine; used if it exists.
 const MACHINE_FOLDER: &str = "/var/lib/panoscope/arms";
 
-/// Errors of the store.
+/// Error of the store.
 #[derive(Debug, Error)]
 pub enum LatchError {
-    /// There is no folder to keep latches in.
-    #[error("there is no folder to keep the arm's latched stops in: set {FOLDER_VARIABLE} to one")]
+    /// No folder for latches is known.
+    #[error("there is no folder for the arm's latched stops: set {FOLDER_VARIABLE} to one")]
     NoFolder,
     /// The folder cannot be used.
-    #[error("{path}: latched stops cannot be kept here: {cause}; set {FOLDER_VARIABLE} to a folder that this user may write", path = path.display())]
+    #[error("{path}: latched stops cannot be stored here: {cause}; set {FOLDER_VARIABLE} to a folder that this user can write", path = path.display())]
     Folder {
         /// The folder or file.
         path: PathBuf,
         /// The system's error.
         cause: io::Error,
     },
-    /// Another process has this device.
+    /// Another process uses this device.
     #[error("another program drives the arm {serial}; end it first")]
     InUse {
         /// The device's serial number.
@@ -47,7 +48,7 @@ pub enum LatchError {
     },
 }
 
-/// State of a device, as the file holds it.
+/// State of a device in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Record {
     /// At rest, no stop latched.
@@ -58,7 +59,7 @@ pub enum Record {
     Latched(Cause),
 }
 
-/// The file of one device. Nobody else opens it while this exists.
+/// The file of one device. It is locked while this exists.
 #[derive(Debug)]
 pub struct LatchStore {
     folder: PathBuf,
@@ -70,7 +71,7 @@ pub struct LatchStore {
 /// The folder of the latches: [`FOLDER_VARIABLE`], else the machine's, else the user's.
 ///
 /// # Errors
-/// None of them is known.
+/// No folder is known.
 pub fn folder() -> Result<PathBuf, LatchError> {
     let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     if let Some(folder) = variable(FOLDER_VARIABLE) {
@@ -87,10 +88,11 @@ pub fn folder() -> Result<PathBuf, LatchError> {
 }
 
 impl LatchStore {
-    /// Opens the file of a device in `folder`. The second result is the stop that the arm starts with, `None` after a rest.
+    /// Opens the file of a device in `folder`. The second result is the stop that the arm starts with, `None` after a
+    /// rest.
     ///
     /// # Errors
-    /// The folder cannot be written, or another process has the device.
+    /// The folder cannot be written, or another process uses the device.
     pub fn open(folder: &Path, serial: &Serial) -> Result<(Self, Option<Cause>), LatchError> {
         let failed = |path: &Path| {
             let path = path.to_owned();
@@ -120,7 +122,7 @@ impl LatchStore {
     /// Writes the state and waits until it is on the disk. Writes nothing when the file already holds it.
     ///
     /// # Errors
-    /// The disk is full or gone; the file then holds what it held.
+    /// The disk is full or missing; the file is then unchanged.
     pub fn write(&mut self, record: Record) -> io::Result<()> {
         if self.written == Some(record) {
             return Ok(());

@@ -1,13 +1,14 @@
-//! The arm's interlock as a process of its own.
+//! The arm's interlock as a separate process.
 //!
-//! `panoscope-arm` owns the connection to the arm, the limits, the watchdog and the latches. The graph's node (`arm_serial`, `arm_ur`) starts it and sends
-//! requests over a socket pair, stamped on the system's monotonic clock. When the program hangs, crashes, is stopped, or sends garbage, the requests go stale or the
-//! socket closes, and this process brakes the arm. When this process dies, the arm's own watchdog stops the arm.
+//! `panoscope-arm` owns the connection to the arm, the limits, the watchdog and the latches. The graph's node
+//! (`arm_serial`, `arm_ur`) starts it and sends requests over a socket pair, stamped on the system's monotonic clock.
+//! When the program hangs, crashes, is stopped, or sends garbage, the requests go stale or the socket closes, and this
+//! process brakes the arm. When this process dies, the arm's own watchdog stops the arm.
 //!
-//! - [`message`]: what goes over the socket.
-//! - [`client`]: the side of the program.
+//! - [`message`]: records on the socket.
+//! - [`client`]: the program's side.
 //! - [`server`]: the loop of the process.
-//! - [`arm_port`]: what the loop needs of a connection to an arm.
+//! - [`arm_port`]: the loop's interface to an arm.
 //! - [`target`]: which arm, and how to open it.
 //! - [`link`], [`port`]: a serial line.
 //! - [`ur`], [`rtde`], [`tcp`]: a Universal Robots arm over RTDE.

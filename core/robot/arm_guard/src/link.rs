@@ -14,12 +14,12 @@ use crate::port::{Port, PortError};
 pub const PERIOD: Duration = Duration::from_millis(10);
 /// Time limit of the arm's first answer.
 const FIRST_ANSWER: Duration = Duration::from_millis(600);
-/// Time without an answer after which a question in version 1 finds out whether the arm's firmware is older.
+/// Time without an answer after which a version 1 question checks for older firmware.
 const ASK_OLDER: Duration = Duration::from_millis(300);
-/// Lines whose answers may be outstanding.
+/// Maximum number of lines without an answer.
 const OUTSTANDING: usize = 64;
 
-/// How to reach the arm.
+/// Connection to the arm.
 #[derive(Clone, Debug)]
 pub struct Connection {
     /// The device's file.
@@ -148,7 +148,7 @@ impl ArmLink {
     }
 }
 
-/// Why an arm in this state does not follow.
+/// Cause for which an arm in this state does not follow.
 fn stop_of(state: DeviceState) -> Option<Cause> {
     match state {
         DeviceState::Ready => None,

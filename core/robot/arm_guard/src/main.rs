@@ -1,4 +1,5 @@
-//! `panoscope-arm`: the arm's interlock, started by the nodes `arm_serial` and `arm_ur` with a socket as standard input.
+//! `panoscope-arm`: the arm's interlock, started by the nodes `arm_serial` and `arm_ur` with a socket as standard
+//! input.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -31,7 +32,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// The second value of an option, or the first error: exit code and message.
+/// Runs the program with its arguments. Errors are an exit code and a message.
 fn run(args: Vec<String>) -> Result<(), (u8, String)> {
     let wrong = |message: String| (2, format!("{message}\n\n{USAGE}"));
     if let [first, folder @ ..] = args.as_slice()
@@ -46,9 +47,9 @@ fn run(args: Vec<String>) -> Result<(), (u8, String)> {
     while let Some(option) = args.next() {
         let value = args.next().ok_or_else(|| wrong(format!("`{option}` needs a value")))?;
         let number =
-            |text: &str| text.parse::<u32>().map_err(|_| wrong(format!("`{option} {text}`: a whole number is needed")));
+            |text: &str| text.parse::<u32>().map_err(|_| wrong(format!("`{option} {text}`: expected a whole number")));
         let tcp_port = |text: &str| {
-            text.parse::<u16>().map_err(|_| wrong(format!("`{option} {text}`: a port from 1 to 65535 is needed")))
+            text.parse::<u16>().map_err(|_| wrong(format!("`{option} {text}`: expected a port from 1 to 65535")))
         };
         match option.as_str() {
             "--port" => port = Some(PathBuf::from(value)),
@@ -57,16 +58,16 @@ fn run(args: Vec<String>) -> Result<(), (u8, String)> {
             "--ur" => host = Some(value),
             "--home" => {
                 let angles = ur::home_of(&value);
-                home = Some(angles.ok_or_else(|| wrong(format!("`--home {value}`: six angles in rad are needed")))?);
+                home = Some(angles.ok_or_else(|| wrong(format!("`--home {value}`: expected six angles in rad")))?);
             }
             "--rtde-port" => rtde_port = tcp_port(&value)?,
             "--dashboard-port" => dashboard_port = tcp_port(&value)?,
             "--arm" => arm = PathBuf::from(value),
             "--latches" => latches = Some(PathBuf::from(value)),
-            _ => return Err(wrong(format!("there is no option `{option}`"))),
+            _ => return Err(wrong(format!("unknown option `{option}`"))),
         }
     }
-    let Some(answer_ms) = answer_ms else { return Err(wrong("`--answer-ms` is needed".to_owned())) };
+    let Some(answer_ms) = answer_ms else { return Err(wrong("`--answer-ms` is missing".to_owned())) };
     let answer_within = Duration::from_millis(u64::from(answer_ms));
     let target = match (port, baud, host, home) {
         (Some(path), Some(baud), None, None) => Target::Serial(Connection { path, baud, answer_within }),
@@ -77,7 +78,7 @@ fn run(args: Vec<String>) -> Result<(), (u8, String)> {
         (None, None, Some(host), Some(home)) => {
             Target::Ur(UrConnection { host, rtde_port, dashboard_port, home, answer_within })
         }
-        _ => return Err(wrong("either `--port` and `--baud`, or `--ur` and `--home` are needed".to_owned())),
+        _ => return Err(wrong("give either `--port` and `--baud`, or `--ur` and `--home`".to_owned())),
     };
     let failed = |message: String| (1, message);
     let socket = client::inherited_socket().map_err(|error| wrong(error.to_string()))?;

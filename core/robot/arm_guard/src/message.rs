@@ -1,7 +1,7 @@
 //! Messages between the program and the guard: fixed-size records over a socket pair that keeps their boundaries.
 //!
-//! Every record ends with a CRC-32 of the bytes before it. All numbers are little-endian. A record that is not valid is ignored and counted: its
-//! contents cannot be trusted, and without valid ones the arm stops.
+//! Every record ends with a CRC-32 of the bytes before it. All numbers are little-endian. A record that is not valid is
+//! ignored and counted: its contents cannot be trusted, and without valid ones the arm stops.
 
 use panoscope_arm_core::interlock::{Event, Evidence, Settings};
 use panoscope_arm_core::line::Serial;
@@ -11,19 +11,20 @@ use panoscope_arm_core::{Cause, JOINTS, JointVector};
 const MAGIC: [u8; 6] = *b"PARM\x01\x00";
 /// Longest record, bytes.
 pub const MAX_LEN: usize = 512;
-/// Maximum number of values of a demand; another number than the arm's joints is an invalid demand, which the interlock refuses.
+/// Maximum number of values of a demand; a demand with another number of values than joints is refused by the
+/// interlock.
 pub const MAX_DEMAND: usize = 8;
 /// Longest text of a failure, bytes.
 const MAX_TEXT: usize = 400;
 
-/// What the node asks for, once per call. Times are on the system's monotonic clock, ns.
+/// A request of the node, sent once per call. Times are on the system's monotonic clock, ns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Request {
-    /// When the node was called.
+    /// Time of the node's call.
     pub sent_ns: i64,
-    /// The tip that the arm follows, and when its light arrived.
+    /// Arrival time of the light of the followed tip, and the tip's properties.
     pub tip: Option<(i64, Evidence)>,
-    /// Requested joint velocities, rad/s, their number, and when the light behind them arrived.
+    /// Requested joint velocities: arrival time of the light behind them, values in rad/s, and their number.
     pub demand: Option<(i64, [f64; MAX_DEMAND], u32)>,
     /// Settings of the interlock.
     pub settings: Settings,
@@ -36,7 +37,7 @@ pub struct Request {
 /// State of the guard and the arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Status {
-    /// When this was written, ns.
+    /// Time of this report, ns.
     pub at_ns: i64,
     /// Joint angles by the encoders, rad.
     pub encoders: JointVector,
@@ -44,7 +45,7 @@ pub struct Status {
     pub set_point: (JointVector, JointVector),
     /// Cause of the present stop.
     pub stop: Option<Cause>,
-    /// Whether the stop latched.
+    /// Whether the stop is latched.
     pub latched: bool,
     /// Stops since the guard started.
     pub stops: u64,
@@ -70,7 +71,7 @@ pub enum Report {
         /// Whether memory is locked, and whether the loop has real-time priority.
         granted: (bool, bool),
     },
-    /// The guard cannot start, and why.
+    /// The guard cannot start; the reason.
     Failed(String),
     /// The newest state.
     Status(Box<Status>),
@@ -135,7 +136,7 @@ impl<'a> Writer<'a> {
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {
-    /// The kind and the fields of a record with the right start and CRC.
+    /// The kind and the fields of a record with a valid magic number and CRC.
     fn of(record: &'a [u8]) -> Option<(u8, Self)> {
         let (body, crc) = record.split_at(record.len().checked_sub(4)?);
         if u32::from_le_bytes(crc.try_into().ok()?) != crc32fast::hash(body) {

@@ -10,7 +10,7 @@ use rustix::fs::{FlockOperation, OFlags};
 use rustix::termios::{self, OptionalActions};
 use thiserror::Error;
 
-/// Errors of a connection to an arm.
+/// Error of a connection to an arm.
 #[derive(Debug, Error)]
 pub enum PortError {
     /// The device cannot be opened.
@@ -46,13 +46,13 @@ pub enum PortError {
         ours: u32,
     },
     /// The device does not answer in the arm's protocol.
-    #[error("{path}: no arm answered within {wait_ms} ms ({garbage} lines made no sense)", path = path.display())]
+    #[error("{path}: no arm answered within {wait_ms} ms ({garbage} lines were malformed)", path = path.display())]
     NoArm {
         /// The device's file.
         path: PathBuf,
         /// Time waited, ms.
         wait_ms: u128,
-        /// Lines received that are no answers.
+        /// Received lines that are not answers.
         garbage: u32,
     },
     /// The connection was lost.
@@ -66,7 +66,7 @@ pub enum PortError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// The robot's controller does not do what the protocol needs.
+    /// The robot's controller lacks something that the protocol needs.
     #[error("{place}: {what}; {advice}")]
     Unsuitable {
         /// Host and port.
@@ -81,13 +81,13 @@ pub enum PortError {
     NotReady {
         /// Host and port.
         place: String,
-        /// Why.
+        /// Reason.
         cause: Cause,
         /// What to do.
         advice: &'static str,
     },
-    /// What arrives is no package of the protocol.
-    #[error("what {place} sends cannot be read; is this the robot's RTDE port?")]
+    /// Received data is not a package of the protocol.
+    #[error("the data from {place} is malformed; is this the robot's RTDE port?")]
     Unreadable {
         /// Host and port.
         place: String,
@@ -95,7 +95,7 @@ pub enum PortError {
 }
 
 impl PortError {
-    /// Why an arm stops when its connection fails in this way.
+    /// Cause of the arm's stop when its connection fails in this way.
     pub fn cause(&self) -> Cause {
         match self {
             Self::NotReady { cause, .. } => *cause,
@@ -115,7 +115,7 @@ impl Port {
     /// Opens a device as raw bytes at a speed.
     ///
     /// # Errors
-    /// The device does not exist, is not permitted, is no terminal, or does not have this speed.
+    /// The device does not exist, is not permitted, is not a terminal, or does not support this speed.
     pub fn open(path: &Path, baud: u32) -> Result<Self, PortError> {
         let flags = (OFlags::NOCTTY | OFlags::NONBLOCK).bits() as i32;
         let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(path).map_err(|cause| {
@@ -151,7 +151,8 @@ impl Port {
         }
     }
 
-    /// Sends a line. What does not fit into the system's buffer is dropped: the arm then sees a wrong checksum and its watchdog keeps counting.
+    /// Sends a line. Bytes that do not fit into the system's buffer are dropped: the arm then sees a wrong checksum and
+    /// its watchdog keeps counting.
     ///
     /// # Errors
     /// The connection was lost.

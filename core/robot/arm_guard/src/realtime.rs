@@ -1,16 +1,16 @@
-//! Locked memory and real-time priority, where the system allows them.
+//! Locked memory and real-time priority, if the system allows them.
 
 /// Priority of the loop: above the threads of the program.
 pub const PRIORITY: i32 = 60;
-/// Locked memory that the guard needs at most, KiB.
+/// Maximum locked memory that the guard needs, KiB.
 pub const MEMORY_KIB: u64 = 65_536;
 
-/// What the system granted.
+/// Rights that the system granted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Granted {
-    /// Memory stays in RAM.
+    /// Whether memory is locked in RAM.
     pub locked_memory: bool,
-    /// SCHED_FIFO.
+    /// Whether the loop runs under SCHED_FIFO.
     pub real_time: bool,
 }
 

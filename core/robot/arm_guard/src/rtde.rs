@@ -1,8 +1,9 @@
 //! Packages of Universal Robots' Real-Time Data Exchange (RTDE), protocol version 2, as its guide documents them.
 //!
-//! A package is its size (16 bits, these three bytes included), its type (a letter), and a payload. All numbers are big-endian. The client asks for a
-//! protocol version, names the fields it wants to read ([`OUTPUTS`]) and to write ([`INPUTS`]), and starts the exchange. From then on data packages go
-//! both ways, without questions and answers: [`crate::ur`] matches them by a heartbeat.
+//! A package is its size (16 bits, these three bytes included), its type (a letter), and a payload. All numbers are
+//! big-endian. The client asks for a protocol version, names the fields it wants to read ([`OUTPUTS`]) and to write
+//! ([`INPUTS`]), and starts the exchange. Data packages then go both ways without request and response: [`crate::ur`]
+//! matches them by a heartbeat.
 
 use panoscope_arm_core::{JOINTS, JointVector};
 
@@ -13,7 +14,7 @@ const HEADER: usize = 3;
 /// Longest package that is accepted, bytes; RTDE's longest is a list of names, 2048 bytes.
 pub const MAX_LEN: usize = 4096;
 
-/// What the controller sends: names and types.
+/// Outputs of the controller: names and types.
 pub const OUTPUTS: [(&str, &str); 11] = [
     ("timestamp", "DOUBLE"),
     ("actual_q", "VECTOR6D"),
@@ -27,7 +28,7 @@ pub const OUTPUTS: [(&str, &str); 11] = [
     ("output_int_register_27", "INT32"),
     ("output_int_register_28", "INT32"),
 ];
-/// What the guard writes: names and types. Registers from 24 are for external clients.
+/// Inputs written by the guard: names and types. Registers from 24 are for external clients.
 pub const INPUTS: [(&str, &str); 9] = [
     ("input_double_register_24", "DOUBLE"),
     ("input_double_register_25", "DOUBLE"),
@@ -44,9 +45,9 @@ pub const INPUTS: [(&str, &str); 9] = [
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Kind {
-    /// Asks for a protocol version.
+    /// Requests a protocol version.
     ProtocolVersion = b'V',
-    /// Asks for the version of the controller's software.
+    /// Requests the version of the controller's software.
     ControllerVersion = b'v',
     /// Names outputs.
     Outputs = b'O',
@@ -54,7 +55,7 @@ pub enum Kind {
     Inputs = b'I',
     /// Starts the exchange.
     Start = b'S',
-    /// Values.
+    /// Values of the inputs.
     Data = b'U',
 }
 
@@ -65,13 +66,13 @@ pub enum Package<'a> {
     ProtocolVersion(bool),
     /// Version of its software: major, minor, bug fix, build.
     ControllerVersion([u32; 4]),
-    /// A message for people.
+    /// A message for the user.
     Text(&'a [u8]),
     /// Number of the outputs' recipe, and their types, separated by commas.
     Outputs(u8, &'a str),
     /// Number of the inputs' recipe, and their types, separated by commas.
     Inputs(u8, &'a str),
-    /// Whether the exchange has started.
+    /// Whether the exchange started.
     Started(bool),
     /// Whether the exchange pauses.
     Paused(bool),
@@ -79,14 +80,14 @@ pub enum Package<'a> {
     Data(u8, &'a [u8]),
 }
 
-/// What has arrived.
+/// Result of splitting the received bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Received<'a> {
     /// A valid package.
     Package(Package<'a>),
     /// A package of an unknown type, or with a wrong length.
     Damaged,
-    /// No package starts here. Nothing after it can be read.
+    /// No package starts here; the rest of the stream cannot be parsed.
     Broken,
 }
 
@@ -199,12 +200,12 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// With room for the longest package: nothing is allocated later.
+    /// A reader with room for the longest package, so that nothing is allocated later.
     pub fn new() -> Self {
         Self { held: Vec::with_capacity(MAX_LEN), is_broken: false }
     }
 
-    /// Takes bytes and calls `each` with every whole package.
+    /// Adds bytes and calls `each` with every complete package.
     pub fn take(&mut self, mut bytes: &[u8], mut each: impl FnMut(Received<'_>)) {
         while !self.is_broken && !bytes.is_empty() {
             let wanted = self.size().unwrap_or(HEADER).max(HEADER) - self.held.len();
@@ -242,17 +243,17 @@ pub struct State {
     pub angles: JointVector,
     /// Measured speeds, rad/s.
     pub speeds: JointVector,
-    /// 7: switched on, brakes released.
+    /// Mode of the robot; 7: switched on, brakes released.
     pub robot_mode: i32,
-    /// Bit 0: normal; bit 1: reduced; the others are stops and faults.
+    /// Safety status bits. Bit 0: normal; bit 1: reduced; the others are stops and faults.
     pub safety_bits: u32,
-    /// 2: a program runs.
+    /// State of the controller; 2: a program runs.
     pub runtime_state: u32,
     /// The newest heartbeat that the robot's program accepted.
     pub beat: i32,
     /// State of the robot's program.
     pub program_state: i32,
-    /// Why the robot's program stopped.
+    /// Reason for which the robot's program stopped.
     pub reason: i32,
     /// Version of the robot's program.
     pub program_version: i32,
@@ -282,7 +283,7 @@ impl State {
     }
 }
 
-/// What a data package asks the robot's program to do.
+/// Command to the robot's program in a data package.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(i32)]
 pub enum Command {

@@ -1,7 +1,9 @@
-//! The loop of the guard. It owns the connection to the arm, the interlock and the latches, and continues when the program does not.
+//! The loop of the guard. It owns the connection to the arm, the interlock and the latches, and continues when the
+//! program does not.
 //!
-//! Every few milliseconds ([`ArmPort::period`]) it reads the arm's answers and the program's requests, advances the interlock to the present, and sends a set-point while anything
-//! moves. Nothing is allocated and no file is written while the arm moves.
+//! Every few milliseconds ([`ArmPort::period`]) it reads the arm's answers and the program's requests, advances the
+//! interlock to the present, and sends a set-point while anything moves. Nothing is allocated and no file is written
+//! while the arm moves.
 
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::PathBuf;
@@ -25,27 +27,27 @@ use crate::target::Target;
 
 /// Damaged lines in a row that count as noise; more stop the arm.
 const NOISE_LINES: u32 = 2;
-/// Largest lag of the arm behind its set-points: s at its speed, plus rad.
+/// Maximum lag of the arm behind its set-points, s at its speed.
 const LAG_S: f64 = 0.15;
 const LAG_RAD: f64 = 0.02;
-/// Requests that are read in one turn: a flood cannot hold the loop.
+/// Maximum number of requests read in one turn, so that a flood cannot block the loop.
 const REQUESTS_PER_TURN: u32 = 256;
-/// Shortest time between two encoder angles that are judged, ns.
+/// Minimum time between two checks of encoder angles, ns.
 const MEASURED_STEP_NS: i64 = 5_000_000;
-/// How far in the future a stamp may lie, ns.
+/// Maximum distance of a time stamp into the future, ns.
 const FUTURE_NS: i64 = 1_000_000;
 /// Time limit in which the arm clears its own stop.
 const CLEAR_WITHIN: Duration = Duration::from_millis(250);
 /// Longest time to brake after the program has ended.
 const LEAVE_WITHIN: Duration = Duration::from_secs(2);
-/// Bits per second from which a line has room for a set-point between two periods.
+/// Minimum speed in bits per second at which a line has room for a set-point between two periods.
 const FAST_BAUD: u32 = 230_400;
-/// Bits per second from which it has room for two more.
+/// Minimum speed in bits per second at which it has room for two more.
 const FASTER_BAUD: u32 = 460_800;
 /// Time between the turns that follow the expiry of a demand.
 const SOON: Duration = Duration::from_millis(2);
 
-/// Errors at the start.
+/// The guard could not start.
 #[derive(Debug, Error)]
 pub enum ServeError {
     /// The arm cannot be reached.
@@ -59,9 +61,9 @@ pub enum ServeError {
     Socket(#[from] Errno),
 }
 
-/// What the guard is started with.
+/// Settings of the guard.
 pub struct Options {
-    /// How to reach the arm.
+    /// Connection to the arm.
     pub target: Target,
     /// The arm.
     pub chain: Chain,
@@ -97,7 +99,7 @@ struct Server {
     latches: LatchStore,
     lock: Interlock,
     measured: Measured,
-    /// Time of the newest encoder angles that were judged, ns.
+    /// Time of the newest encoder angles that were checked, ns.
     judged_ns: i64,
     /// The newest `reset`; the first request sets it.
     reset: Option<u64>,
@@ -108,7 +110,8 @@ struct Server {
     has_host: bool,
     /// Whether the last line was a set-point of a moving arm.
     was_moving: bool,
-    /// Turns that follow soon, because a demand has just expired or the program has ended: the first steps of braking are less than a line can say.
+    /// Number of early turns left after a demand expired or the program ended, because the first steps of braking are
+    /// below the resolution of a line.
     soon: u8,
 }
 
@@ -162,7 +165,8 @@ impl Server {
         }
     }
 
-    /// Sleeps until `next`, or until the demand expires or the program ends, so that braking is sent at once. True when it woke early.
+    /// Sleeps until `next`, or until the demand expires or the program ends, so that braking is sent at once. True when
+    /// it woke early.
     fn wait(&mut self, next: Instant) -> bool {
         let left = next.saturating_duration_since(Instant::now());
         let mut sleep = left;
@@ -230,7 +234,7 @@ impl Server {
         self.publish(now_ns);
     }
 
-    /// Writes a latched stop. Until then the file says that the arm is released, which counts as a stop after a restart.
+    /// Writes a latched stop. Until then the file contains `released`, which counts as a stop after a restart.
     fn record(&mut self) {
         let record = match self.lock.latched() {
             // Nothing has changed since the start.
@@ -243,7 +247,7 @@ impl Server {
         let _ = self.latches.write(record);
     }
 
-    /// Reads the arm's answers. Returns a cause to stop when they are missing, wrong, or beyond a limit.
+    /// Reads the arm's answers. Returns a stop cause if they are missing, invalid, or beyond a limit.
     fn listen(&mut self, now_ns: i64) -> Option<Cause> {
         let link = self.link.as_mut()?;
         if let Err(error) = link.listen() {
@@ -274,7 +278,7 @@ impl Server {
         (off > LAG_RAD + LAG_S * point.velocity.amax().max(0.1)).then_some(Cause::NotFollowing)
     }
 
-    /// Reads the program's requests and applies the newest one; an emergency stop counts in any of them.
+    /// Reads the program's requests and applies the newest one; an emergency stop in any of them takes effect.
     fn receive(&mut self, now_ns: i64) {
         if !self.has_host {
             return;
@@ -315,7 +319,7 @@ impl Server {
         }
     }
 
-    /// Requests go forward in time, and none is from the future.
+    /// Whether a request is newer than the last one and not from the future.
     fn is_in_order(&self, request: &Request, now_ns: i64) -> bool {
         request.sent_ns > self.last_sent_ns && request.sent_ns <= now_ns.saturating_add(FUTURE_NS)
     }
@@ -342,9 +346,10 @@ impl Server {
         }
     }
 
-    /// Releases a latched stop after a person's reset. Opens a lost line again; set-points start at the arm's present angles.
+    /// Releases a latched stop after a person's reset. Reopens a lost line; set-points start at the arm's present
+    /// angles.
     ///
-    /// The arm is at rest, so this may take its time.
+    /// The arm is at rest, so this may block.
     fn release(&mut self) {
         if !self.lock.set_point().is_at_rest() {
             return;

@@ -1,4 +1,4 @@
-//! How to reach an arm, for every protocol.
+//! Connection to an arm, for every protocol.
 
 use std::ffi::OsString;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use crate::link::{ArmLink, Connection};
 use crate::port::PortError;
 use crate::ur::{UrConnection, UrLink};
 
-/// How to reach an arm.
+/// Connection to an arm.
 #[derive(Clone, Debug)]
 pub enum Target {
     /// An arm on a serial line.

@@ -32,7 +32,7 @@ pub fn connect(host: &str, port: u16) -> Result<TcpStream, PortError> {
 #[derive(Debug)]
 pub struct TcpPort {
     stream: TcpStream,
-    /// Bytes that the system has not taken yet: the rest of a package must follow before another one.
+    /// Bytes not accepted by the system yet; they must be sent before another package.
     held: Vec<u8>,
 }
 
@@ -62,7 +62,8 @@ impl TcpPort {
         }
     }
 
-    /// Sends a package. Returns whether it was sent or will be: while the rest of an earlier one waits, it is dropped, and the arm's heartbeat stops.
+    /// Sends a package. Returns whether it was sent or will be: while the rest of an earlier package waits, it is
+    /// dropped, and the arm's heartbeat stops.
     ///
     /// # Errors
     /// The connection was lost.

@@ -1,9 +1,10 @@
 //! A Universal Robots arm over RTDE ([`crate::rtde`]), with the deadman `ur/panoscope_arm.script` on its controller.
 //!
-//! RTDE inputs keep their last value, so nothing on this side can stop the arm by falling silent. Every package therefore carries another heartbeat;
-//! the robot's program follows targets only while it changes, and echoes it. The age of an answer is the age of the heartbeat that it echoes.
+//! RTDE inputs keep their last value, so silence on this side does not stop the arm. Every package therefore carries
+//! another heartbeat; the robot's program follows targets only while it changes, and echoes it. The age of an answer is
+//! the age of the heartbeat that it echoes.
 //!
-//! The robot's safety system stays above all this: its stops are reported as they are and never acknowledged from here.
+//! The robot's safety system has priority: its stops are reported unchanged and never acknowledged from here.
 
 use std::time::Duration;
 
@@ -29,19 +30,20 @@ pub const DASHBOARD_PORT: u16 = 29999;
 const PERIOD: Duration = Duration::from_millis(4);
 /// Time limit of the first echoed heartbeat.
 const FIRST_ECHO: Duration = Duration::from_millis(600);
-/// How long the robot's program is asked to clear its stop.
+/// Time for which the robot's program is asked to clear its stop.
 const RELEASE_WITHIN: Duration = Duration::from_millis(250);
-/// How long the last set-point stays the target after a movement: the joints lag behind their targets.
+/// Time for which the last set-point stays the target after a movement: the joints lag behind their targets.
 const SETTLE: Duration = Duration::from_millis(200);
-/// Heartbeats start again at 0 here.
+/// Heartbeats wrap to 0 at this value.
 const BEAT_END: i32 = 1_000_000;
-/// Heartbeats whose echo may be outstanding.
+/// Maximum number of heartbeats without an echo.
 const OUTSTANDING: usize = 64;
 /// Largest difference between the controller's clock and this one within [`CLOCK_SPAN_NS`], ns.
 const CLOCK_OFF_NS: i64 = 250_000_000;
-/// Time after which the clocks are set equal again, ns: 250 ms in 5 s tell a clock that is 5 % slow from late packages.
+/// Time after which the clocks are set equal again, ns: 250 ms in 5 s distinguish a clock that is 5 % slow from late
+/// packages.
 const CLOCK_SPAN_NS: i64 = 5_000_000_000;
-/// Highest speed of a joint of these robots, rad/s; a package in which one is faster is damaged.
+/// Highest speed of a joint of these robots, rad/s; a package with a higher speed counts as damaged.
 const FASTEST_RAD_S: f64 = 3.2;
 /// Noise of the encoders between two packages, rad.
 const NOISE_RAD: f64 = 0.002;
@@ -54,7 +56,7 @@ const PROGRAM_READY: [i32; 2] = [2, 3];
 const MAKE_READY: &str = "make the robot ready at its pendant and start panoscope_arm.script there";
 const COPY_PROGRAM: &str = "copy the panoscope_arm.script of this version to the robot and start it";
 
-/// How to reach an arm.
+/// Connection to an arm.
 #[derive(Clone, Debug)]
 pub struct UrConnection {
     /// Name or address of the controller.
@@ -86,7 +88,7 @@ pub fn home_of(text: &str) -> Option<JointVector> {
     (angles.len() == JOINTS && angles.iter().all(|v| v.is_finite())).then(|| JointVector::from_column_slice(&angles))
 }
 
-/// Why an arm in this state does not follow. The robot's safety system comes first.
+/// Cause for which an arm in this state does not follow. The robot's safety system comes first.
 fn stop_of(state: &State) -> Option<Cause> {
     let has = |bits: &[u32]| bits.iter().any(|bit| state.safety_bits & (1 << bit) != 0);
     if has(&[8, 9]) {
@@ -106,7 +108,7 @@ fn stop_of(state: &State) -> Option<Cause> {
     }
 }
 
-/// Whether a state can follow another one. TCP's check sum is weak, and these packages have none of their own.
+/// Whether a state can follow another one. This detects damaged packages, which have no checksum and TCP's is weak.
 fn can_follow(before: &State, after: &State) -> bool {
     let seconds = after.timestamp_s - before.timestamp_s;
     let reach_rad = FASTEST_RAD_S * seconds + NOISE_RAD;
@@ -114,16 +116,17 @@ fn can_follow(before: &State, after: &State) -> bool {
     seconds > 0.0 && (0..JOINTS).all(|k| (after.angles[k] - before.angles[k]).abs() <= reach_rad)
 }
 
-/// Compares the controller's clock with this machine's. The deadman counts control cycles, so a slow controller stops late.
+/// Compares the controller's clock with this machine's. The deadman counts control cycles, so a slow controller stops
+/// late.
 #[derive(Debug, Default)]
 struct ClockCheck {
-    /// Time here and there, ns.
+    /// Controller time and local time at the last comparison, ns.
     anchor: Option<(i64, i64)>,
     newest_ns: i64,
 }
 
 impl ClockCheck {
-    /// Whether the controller's time is right.
+    /// Whether the controller's clock runs at the right rate.
     fn is_right(&mut self, now_ns: i64, device_ns: i64) -> bool {
         let (here, there) = *self.anchor.get_or_insert((now_ns, device_ns));
         let is_forward = device_ns >= std::mem::replace(&mut self.newest_ns, device_ns);
@@ -153,7 +156,7 @@ pub struct UrLink {
     home: JointVector,
     beat: i32,
     sent: [Sent; OUTSTANDING],
-    /// The newest echo: it comes again with every package.
+    /// The newest echo: it is repeated in every package.
     echo: Option<i32>,
     state: Option<State>,
     clock: ClockCheck,
@@ -170,7 +173,8 @@ impl UrLink {
     /// Connects and waits until the robot's program echoes a heartbeat. Moves nothing and clears no stop.
     ///
     /// # Errors
-    /// The controller cannot be reached, another program has its inputs, its software is too old, or the robot's program does not run.
+    /// The controller cannot be reached, another program uses its inputs, its software is too old, or the robot's
+    /// program does not run.
     pub fn open(connection: &UrConnection) -> Result<(Self, Identity), PortError> {
         let serial = dashboard::serial_number(&connection.host, connection.dashboard_port)?;
         let mut link = Self {
@@ -200,7 +204,7 @@ impl UrLink {
         PortError::Unsuitable { place: self.place.clone(), what, advice }
     }
 
-    /// Versions, recipes, start.
+    /// Negotiates versions and recipes and starts the exchange.
     fn set_up(&mut self) -> Result<(), PortError> {
         let speaks = self.ask(Kind::ProtocolVersion, &rtde::VERSION.to_be_bytes(), |it| match it {
             Package::ProtocolVersion(is_accepted) => Some(is_accepted),
@@ -236,7 +240,7 @@ impl UrLink {
         self.check_types(&INPUTS, &types)?;
         self.recipes.1 = recipe;
         if self.recipes.0 == 0 || self.recipes.1 == 0 {
-            return Err(self.unsuitable("the controller accepts no list of fields".to_owned(), UPDATE));
+            return Err(self.unsuitable("the controller refused the list of fields".to_owned(), UPDATE));
         }
         let has_started = self.ask(Kind::Start, &[], |it| match it {
             Package::Started(has_started) => Some(has_started),
@@ -359,7 +363,7 @@ impl UrLink {
         if is_broken { Err(PortError::Unreadable { place: self.place.clone() }) } else { Ok(()) }
     }
 
-    /// Notes the echo of a heartbeat.
+    /// Records the echo of a heartbeat.
     fn close(&mut self, beat: i32) {
         if self.echo.is_none() || self.echo == Some(beat) {
             return;

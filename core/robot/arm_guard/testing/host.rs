@@ -1,7 +1,9 @@
-//! A program that steers an arm through the guard as the node `arm_serial` does, for tests that kill, stop and hang it. It never ships.
+//! A program that steers an arm through the guard like the node `arm_serial`, for tests that kill, stop and hang it. It
+//! is not shipped.
 //!
-//! `panoscope-arm-host DEVICE FOLDER RAD_S` turns the last joint at RAD_S. It writes `guard PID` when the guard runs, or `failed: REASON`. On standard
-//! input, `hang` makes it stop without an end (it writes `hangs` then), `crash` aborts it, and the end of the input ends it.
+//! `panoscope-arm-host DEVICE FOLDER RAD_S` turns the last joint at RAD_S. It writes `guard PID` when the guard runs,
+//! or `failed: REASON`. On standard input, `hang` makes it stop without an end (it writes `hangs` then), `crash` aborts
+//! it, and the end of the input ends it.
 
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -15,11 +17,11 @@ use panoscope_arm_guard::clock;
 use panoscope_arm_guard::link::Connection;
 use panoscope_arm_guard::message::Request;
 
-/// Time between two requests, as of a camera with 100 pictures a second.
+/// Time between two requests, as of a camera with 100 frames per second.
 const TICK: Duration = Duration::from_millis(10);
-/// Time for which a stop is left alone before it is released, as long as the arm has not moved: longer than a release takes.
+/// Time before a stop is released again while the arm has not moved; longer than a release takes.
 const PATIENCE: Duration = Duration::from_millis(1500);
-/// Commands.
+/// Command that hangs the program.
 const HANG: u8 = 1;
 const CRASH: u8 = 2;
 
@@ -51,13 +53,13 @@ fn main() -> ExitCode {
     }
 }
 
-/// Writes a line. Nobody may read it any more.
+/// Writes a line; ignores a closed output.
 fn report(line: &str) {
     let mut out = std::io::stdout();
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
 }
 
-/// Reads commands. The end of the input is the end of the test.
+/// Reads commands. The end of the input ends the test.
 fn obey() {
     for line in std::io::stdin().lock().lines().map_while(Result::ok) {
         match line.as_str() {

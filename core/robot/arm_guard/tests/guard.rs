@@ -1,4 +1,5 @@
-//! The guard's process against a simulated arm on a pseudo-terminal: it moves only when a person released it, every fault stops it, and stops survive.
+//! The guard's process against a simulated arm on a pseudo-terminal: it moves only when a person released it, every
+//! fault stops it, and stops survive.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -57,7 +58,8 @@ fn request(reset: u64) -> Request {
     }
 }
 
-/// Sends `each` every 10 ms until `done`. Returns the last state, `None` after the time limit or when the guard has ended.
+/// Sends `each` every 10 ms until `done`. Returns the last state, `None` after the time limit or when the guard has
+/// ended.
 fn drive(
     guard: &mut Guard,
     events: &mut Vec<Event>,
@@ -148,7 +150,8 @@ fn an_arm_stops_when_requests_stop() {
     assert!(!status.latched, "requests that go on move the arm again");
 }
 
-/// The angle of the last joint at which the arm rests when requests stop at `sent_ns`: it goes on until its demand expires, then brakes. From a state of steady speed.
+/// The angle of the last joint at which the arm rests when requests stop at `sent_ns`: it goes on until its demand
+/// expires, then brakes. From a state of steady speed.
 fn rests_at(status: &Status, sent_ns: i64) -> f64 {
     let chain = Chain::shipped().expect("the shipped arm");
     let (position, velocity) = status.set_point;

@@ -1,5 +1,5 @@
-//! The guard's process against a simulated Universal Robots controller: it moves only when a person released it, every fault stops it, the robot's own
-//! deadman holds it when the guard is gone, and stops survive.
+//! The guard's process against a simulated Universal Robots controller: it moves only when a person released it, every
+//! fault stops it, the robot's own deadman holds it when the guard is gone, and stops survive.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -86,7 +86,8 @@ fn request(reset: u64) -> Request {
     }
 }
 
-/// Sends `each` every 10 ms until `done`. Returns the last state, `None` after the time limit or when the guard has ended.
+/// Sends `each` every 10 ms until `done`. Returns the last state, `None` after the time limit or when the guard has
+/// ended.
 fn drive(
     guard: &mut Guard,
     mut each: impl FnMut() -> Request,
@@ -177,8 +178,8 @@ fn a_robot_waits_for_a_person_and_follows_within_its_limits() {
     }
 }
 
-/// Gets a robot with the true deadman moving, does `harm` to the guard, and returns how the arm then braked. On a loaded machine the deadman may come
-/// first: then once more.
+/// Gets a robot with the true deadman moving, does `harm` to the guard, and returns how the arm then braked. On a
+/// loaded machine the deadman may come first: then once more.
 fn braking_after(name: &str, harm: impl Fn(&Guard)) -> (Folder, UrSimulator, Guard, u64, Braking) {
     for attempt in 0..12 {
         let folder = Folder::new(&format!("{name}-{attempt}"));
@@ -435,7 +436,7 @@ fn a_controller_that_is_not_suitable_is_refused_with_the_reason() {
         (|b| b.refuses_start = true, "does not start RTDE"),
         (|b| b.has_no_serial = true, "gives no serial number but `could not understand"),
         (|b| b.is_silent = true, "sends no data"),
-        (|b| b.is_garbage = true, "cannot be read"),
+        (|b| b.is_garbage = true, "is malformed"),
         (
             |b| b.is_program_stopped = true,
             "the arm's program does not run on the robot; make the robot ready at its pendant",

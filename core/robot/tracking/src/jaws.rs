@@ -1,16 +1,16 @@
-//! The middle between two jaws of which one end is hidden.
+//! Centre between two jaws when one jaw's end is hidden.
 //!
-//! The tip of open jaws is the middle between both ends. Where another instrument covers one end, the other end alone is off by half the opening.
-//! Jaws open to both sides of the shaft's axis: the middle lies where the visible end, moved along the direction in which the jaws open, meets
-//! that axis. How the direction leans along the shaft and in depth is known from the last picture that shows both ends; the opening is measured
-//! in each picture, because jaws open and close while one of them is hidden. Where too little of the shaft is in view for an axis, the last opening
-//! is used.
+//! The tip of open jaws is the middle between both ends. Where another instrument covers one end, the other end alone
+//! is off by half the opening. Jaws open to both sides of the shaft's axis: the middle is the point where the visible
+//! end, moved along the opening direction, meets that axis. The lean of that direction along the shaft and in depth is
+//! known from the last image that shows both ends; the opening is measured in each image, because jaws open and close
+//! while one of them is hidden. Where too little of the shaft is in view for an axis, the last opening is used.
 
 use nalgebra::{Vector2, Vector3};
 
-/// Longest time for which jaws are known after both ends were seen, ns.
+/// Maximum time for which jaws are known after both ends were seen, ns.
 const KNOWN_NS: i64 = 10_000_000_000;
-/// Longest time for which an opening is used without an axis, and for which the last middle says which jaw is in view, ns.
+/// Maximum time for which an opening is used without an axis, ns.
 const OPENING_NS: i64 = 2_000_000_000;
 const LAST_NS: i64 = 200_000_000;
 /// Half openings from which their direction is known, and up to which ends belong to one instrument, mm.
@@ -21,7 +21,7 @@ const CLOSED_MM: f64 = 1.0;
 /// Largest lean of the opening's direction: tangent against the direction across the shaft.
 const MAX_LEAN: f64 = 1.0;
 
-/// The axis of a shaft in the picture, in units of the focal length (x/z, y/z).
+/// The axis of a shaft in the image, in units of the focal length (x/z, y/z).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axis {
     /// A point of the axis.
@@ -36,28 +36,29 @@ impl Axis {
     }
 }
 
-/// What one visible end says.
+/// Result for one visible end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Middle {
     /// Middle between both ends, mm.
     pub middle_mm: Vector3<f64>,
-    /// Where the other end is, mm: hidden, if the jaws are as they are known.
+    /// Expected position of the hidden end, mm.
     pub other_mm: Vector3<f64>,
-    /// Whether the opening was measured by the axis; else it is the last one.
+    /// Whether the opening was measured with the axis; otherwise it is the last known one.
     pub is_measured: bool,
 }
 
-/// Both ends as they were seen last.
+/// Last observation of both ends.
 #[derive(Clone, Copy, Debug)]
 struct Both {
-    /// From the middle to the end on the side of [`Axis::across`]: across the shaft and along it, in the picture's plane, and in depth, mm.
+    /// From the middle to the end on the side of [`Axis::across`]: across and along the shaft in the image plane, and
+    /// in depth, mm.
     half_mm: Vector3<f64>,
-    /// Direction of the shaft then.
+    /// Direction of the shaft in that observation.
     along: Vector2<f64>,
     /// Length of the jaws along the shaft, mm.
     length_mm: f64,
     seen_ns: i64,
-    /// Time of `half_mm`: one end and the axis renew it.
+    /// Time of `half_mm`: updated by one end and the axis too.
     opening_ns: i64,
 }
 
@@ -75,8 +76,9 @@ fn is_recent(at_ns: i64, now_ns: i64, max_ns: i64) -> bool {
 }
 
 impl Jaws {
-    /// Takes both ends of a picture that shows them, the direction of the shaft in the picture (a unit vector towards the jaws), and the length of
-    /// the jaws along it, mm. Ends too far apart for one instrument, and numbers that are not finite, are ignored.
+    /// Adds both ends in an image that shows them, the direction of the shaft in the image (a unit vector towards the
+    /// jaws), and the length of the jaws along it, mm. Ends too far apart for one instrument, and numbers that are not
+    /// finite, are ignored.
     pub fn see_both(&mut self, now_ns: i64, ends_mm: [Vector3<f64>; 2], along: Vector2<f64>, length_mm: f64) {
         let half = (ends_mm[0] - ends_mm[1]) / 2.0;
         let is_finite = half.iter().chain(along.iter()).chain([&length_mm]).all(|v| v.is_finite());
@@ -95,8 +97,8 @@ impl Jaws {
         self.both = Some(Both { half_mm, along, length_mm, seen_ns: now_ns, opening_ns: now_ns });
     }
 
-    /// Takes the tip of an instrument that no other one is near, whose end is not open: if it lies on the axis of the shaft, its jaws are closed, or it
-    /// has none. Bent instruments are not taken.
+    /// Adds the tip of an isolated instrument whose end is not open. If the tip is on the shaft's axis, the jaws are
+    /// closed or absent. Bent instruments are ignored.
     pub fn see_closed(&mut self, now_ns: i64, tip_mm: Vector3<f64>, axis: Axis, length_mm: f64) {
         let aside_mm = (tip_mm.xy() / tip_mm.z - axis.from).dot(&axis.across()) * tip_mm.z;
         if aside_mm.abs() <= CLOSED_MM && tip_mm.z > 0.0 && length_mm.is_finite() {
@@ -107,23 +109,23 @@ impl Jaws {
         self.see_tip(now_ns, tip_mm);
     }
 
-    /// Takes the tip of a picture that does not show two jaws.
+    /// Adds the tip in an image that does not show two jaws.
     pub fn see_tip(&mut self, now_ns: i64, tip_mm: Vector3<f64>) {
         self.last = Some((tip_mm, now_ns)).filter(|_| tip_mm.iter().all(|v| v.is_finite()));
     }
 
-    /// Length of the jaws along the shaft, mm, if both ends were seen lately.
+    /// Length of the jaws along the shaft, mm, if both ends were seen recently.
     pub fn length_mm(&self, now_ns: i64) -> Option<f64> {
         self.both.filter(|both| is_recent(both.seen_ns, now_ns, KNOWN_NS)).map(|both| both.length_mm)
     }
 
-    /// Direction of the shaft in the last picture that showed both ends.
+    /// Direction of the shaft in the last image that showed both ends.
     pub fn along(&self, now_ns: i64) -> Option<Vector2<f64>> {
         self.both.filter(|both| is_recent(both.seen_ns, now_ns, KNOWN_NS)).map(|both| both.along)
     }
 
-    /// The middle between both ends, from one end and the shaft's axis. None where both ends were not seen lately, and where the end is too far from
-    /// the axis to be a jaw's.
+    /// The middle between both ends, from one end and the shaft's axis. `None` if both ends were not seen recently or
+    /// the end is too far from the axis to be a jaw's.
     pub fn of_one(&self, now_ns: i64, end_mm: Vector3<f64>, axis: Option<Axis>) -> Option<Middle> {
         let both = self.both.filter(|both| is_recent(both.seen_ns, now_ns, KNOWN_NS))?;
         if !end_mm.iter().all(|v| v.is_finite()) || end_mm.z <= 0.0 {
@@ -151,7 +153,7 @@ impl Jaws {
         (offset.norm() <= MAX_HALF_MM && middle.other_mm.z > 0.0).then_some(middle)
     }
 
-    /// Takes the middle that [`Jaws::of_one`] returned for an end as the tip of this picture.
+    /// Adds the middle that [`Jaws::of_one`] returned for an end as the tip in this image.
     pub fn see_one(&mut self, now_ns: i64, end_mm: Vector3<f64>, middle: &Middle, axis: Option<Axis>) {
         self.last = Some((middle.middle_mm, now_ns));
         if let (Some(both), Some(axis)) = (&mut self.both, axis.filter(|_| middle.is_measured)) {
@@ -174,7 +176,8 @@ fn in_camera(v: Vector3<f64>, along: Vector2<f64>) -> Vector3<f64> {
 mod tests {
     use super::*;
 
-    /// Jaws of 17 mm at 66 mm on a shaft from the right that rises towards the camera, held with a roll; half the angle between them as given.
+    /// Jaws of 17 mm at 66 mm on a shaft from the right that rises towards the camera, held with a roll; half the angle
+    /// between them as given.
     struct Grasper {
         middle: Vector3<f64>,
         shaft: Vector3<f64>,

@@ -1,17 +1,18 @@
-//! A point that moves in space: Kalman filter of constant velocity with a gate (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to
-//! Tracking and Navigation", 2001, chapters 5 and 6).
+//! A point that moves in space: Kalman filter of constant velocity with a gate (Bar-Shalom, Li, Kirubarajan,
+//! "Estimation with Applications to Tracking and Navigation", 2001, chapters 5 and 6).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 type State = SVector<f64, 6>;
 type Covariance = SMatrix<f64, 6, 6>;
 
-/// How the point moves, and which measurements belong to it.
+/// Parameters of the motion and of the gate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
     /// Standard deviation of the unknown acceleration, mm/s^2.
     pub acceleration_mm_s2: f64,
-    /// Squared Mahalanobis distance beyond which a measurement is another point; 16.3 keeps 99.9 % of the true ones.
+    /// Squared Mahalanobis distance beyond which a measurement belongs to another point; 16.3 accepts 99.9 % of valid
+    /// ones.
     pub gate: f64,
 }
 
@@ -33,7 +34,8 @@ pub struct Kalman {
     covariance: Covariance,
 }
 
-/// Covariance in mm^2 of a point seen by two cameras, in their frame: `lateral_px` and `disparity_px` are standard deviations in the picture.
+/// Covariance in mm^2 of a point seen by two cameras, in their frame: `lateral_px` and `disparity_px` are standard
+/// deviations in the image.
 pub fn stereo_covariance(
     xyz_mm: &Vector3<f64>,
     focal_px: f64,
@@ -50,7 +52,7 @@ pub fn stereo_covariance(
 }
 
 impl Kalman {
-    /// Starts at a first measurement; none when a number is not finite.
+    /// Starts at a first measurement; `None` when a number is not finite.
     pub fn begin(at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Option<Self> {
         if !at_mm.iter().chain(covariance_mm2.iter()).all(|v| v.is_finite()) {
             return None;
@@ -98,8 +100,8 @@ impl Kalman {
         }
     }
 
-    /// How unlikely a measurement is: its squared Mahalanobis distance, and that plus the logarithm of the determinant of the covariance (mm^6), which
-    /// compares filters of unequal certainty. None when the result is not finite.
+    /// Improbability of a measurement: its squared Mahalanobis distance, and that plus the logarithm of the determinant
+    /// of the covariance (mm^6), which compares filters of unequal certainty. `None` when the result is not finite.
     pub fn unlikelihood(&self, at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Option<(f64, f64)> {
         let off = at_mm - self.position_mm();
         let seen: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0) + covariance_mm2;

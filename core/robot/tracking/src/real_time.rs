@@ -1,8 +1,8 @@
 //! Real time from the capture times of a source, which may be wrong.
 //!
-//! Velocities need the real time between two pictures. Capture times have it, without the jitter of arrivals, where the device tells the
-//! truth. A camera that says 30 pictures a second and gives 10 does not: its capture times advance by a third of the time that passes, and every
-//! velocity would be three times too large.
+//! Velocities need the real time between two images. Capture times provide it without the jitter of arrivals if the
+//! device reports its true rate. A camera that claims 30 frames per second and delivers 10 does not: its capture times
+//! advance by a third of the real time, and every velocity would be three times too large.
 
 use std::collections::VecDeque;
 
@@ -17,8 +17,8 @@ const SLOW: f64 = 1.25;
 
 /// Real time of a source's ticks.
 ///
-/// Capture times are corrected only where they advance too slowly. Where they advance faster than arrivals, the source runs in simulated time, or its
-/// ticks were held back: they are right then.
+/// Capture times are corrected only where they advance too slowly. Where they advance faster than arrivals, the source
+/// runs in simulated time, or its ticks were delayed, and the capture times are right.
 #[derive(Clone, Debug)]
 pub struct RealTime {
     /// Capture and arrival of the newest ticks, ns.
@@ -35,8 +35,8 @@ impl Default for RealTime {
 }
 
 impl RealTime {
-    /// Takes the next tick: when it was captured by its source, and when its light arrived by the host's clock, if that is known. Returns its
-    /// real time, ns, for differences. Equals `capture_ns` as long as capture times are right.
+    /// Adds the next tick: its capture time and, if known, the arrival of its light by the host's clock. Returns its
+    /// real time, ns, for computing differences; equal to `capture_ns` as long as capture times are right.
     pub fn step(&mut self, capture_ns: i64, arrived_ns: Option<i64>) -> i64 {
         let Some(last_ns) = self.last_capture_ns.replace(capture_ns) else {
             self.ticks.extend(arrived_ns.map(|arrived_ns| (capture_ns, arrived_ns)));
@@ -85,7 +85,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Real times of ticks that are captured every 33 ms by the source's word and arrive at these times.
+    /// Real times of ticks that are captured every 33 ms according to the source and arrive at these times.
     fn steps(arrivals_ms: impl Iterator<Item = i64>) -> Vec<i64> {
         let mut time = RealTime::default();
         arrivals_ms.enumerate().map(|(n, ms)| time.step(n as i64 * 33 * MS, Some(ms * MS))).collect()

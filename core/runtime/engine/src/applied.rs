@@ -50,7 +50,7 @@ impl std::fmt::Display for Applied {
     }
 }
 
-/// Why a change failed. The running graph is unchanged.
+/// A change that failed; the running graph is unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum ApplyError {
     /// A node did not open.
@@ -74,36 +74,36 @@ pub enum ApplyError {
     /// The graph no longer fits the loaded plugins.
     #[error("{reason}; check the graph again")]
     Stale {
-        /// What changed.
+        /// The changed parts.
         reason: String,
     },
     /// `live` and `batch` do not mix.
     #[error("the mode cannot change while the graph runs")]
     Mode,
     /// The graph has ended.
-    #[error("the graph does not run any more")]
+    #[error("the graph has ended")]
     Ended,
     /// The tick to switch at has already entered the graph.
     #[error(
-        "tick {seq} of `{source_node}` has passed, nothing was changed: tick {next} is the first that can be kept out"
+        "tick {seq} of `{source_node}` has passed, nothing was changed: the first tick that can still be kept out is {next}"
     )]
     Passed {
         /// The source.
         source_node: String,
         /// As given by the caller.
         seq: u64,
-        /// The first tick that can still be held back.
+        /// The tick after which the graph should change has already entered the graph.
         next: u64,
     },
-    /// A tick was given for a node that is no source.
-    #[error("`{node}` is no source of the running graph, nothing was changed: ticks are named by their source")]
+    /// A tick was given for a node that is not a source.
+    #[error("`{node}` is not a source of the running graph, nothing was changed: name the source of the tick")]
     NoSource {
         /// As given by the caller.
         node: String,
     },
     /// Ticks in flight did not finish before the frames that wait filled the frame memory.
     #[error(
-        "node `{node}` did not come to rest before the frames that wait took {waiting_mb} MB, most of what the frame memory has left; nothing was changed"
+        "node `{node}` did not come to rest before the frames that wait took {waiting_mb} MB, most of the free frame memory; nothing was changed"
     )]
     Memory {
         /// A node that is still busy.
@@ -116,7 +116,7 @@ pub enum ApplyError {
     Busy {
         /// A node that is still busy.
         node: String,
-        /// How long the engine waited.
+        /// Duration of the wait.
         seconds: u64,
     },
 }

@@ -7,16 +7,16 @@ use panoscope_abi::Tick;
 /// Start time of a call that the watchdog abandoned.
 pub(crate) const ABANDONED: u64 = u64::MAX;
 
-/// Why the engine calls a plugin.
+/// Purpose of a call of a plugin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum CallKind {
     /// A tick.
     #[default]
     Process,
-    /// Its parameters are checked.
+    /// Check of its parameters.
     Check,
     Open,
-    /// It completes its output.
+    /// Completion of its output.
     Finish,
     Close,
     SaveState,
@@ -34,7 +34,7 @@ impl CallKind {
         CallKind::LoadState,
     ];
 
-    /// After "it did not return".
+    /// The end of a message that begins with "it did not return".
     pub fn return_words(self) -> &'static str {
         match self {
             CallKind::Process => "",
@@ -47,7 +47,7 @@ impl CallKind {
         }
     }
 
-    /// After "while it".
+    /// The end of a message that begins with "while it".
     pub fn while_words(self) -> &'static str {
         match self {
             CallKind::Process => "processed",
@@ -98,15 +98,15 @@ impl Busy {
         self.since_ns.store(start_ns.max(1), Ordering::Release);
     }
 
-    /// The kind of the call. Like [`Self::tick`] and `thread`, it belongs to the call whose start was read before only if [`Self::abandon`]
-    /// succeeds with that start.
+    /// The kind of the call. Like [`Self::tick`] and `thread`, it belongs to the call whose start was read before only
+    /// if [`Self::abandon`] succeeds with that start.
     pub fn kind(&self) -> CallKind {
         let number = (self.source.load(Ordering::Relaxed) >> Self::KIND_BITS) as usize;
         CallKind::ALL.get(number).copied().unwrap_or_default()
     }
 
-    /// Ends the call that began at `start_ns`. Returns `false` if the watchdog abandoned it; another call, with another start, may be
-    /// running by now.
+    /// Ends the call that began at `start_ns`. Returns `false` if the watchdog abandoned it; another call, with another
+    /// start, may be running by now.
     #[inline]
     pub fn end(&self, start_ns: u64) -> bool {
         self.since_ns.compare_exchange(start_ns.max(1), 0, Ordering::AcqRel, Ordering::Relaxed).is_ok()

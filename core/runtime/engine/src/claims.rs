@@ -1,5 +1,5 @@
-//! Files that the nodes of a run write. Each has one writer at a time, in this run and among all runs, and a run never truncates a file that
-//! it wrote.
+//! Files that the nodes of a run write. Each has one writer at a time, in this run and among all runs, and a run never
+//! truncates a file that it wrote.
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
@@ -31,16 +31,16 @@ struct State {
 
 #[derive(Debug, Default)]
 struct File {
-    /// How many parts of it this run began.
+    /// Number of its parts that this run began.
     begun: u32,
-    /// The part that holds the files of this run, where they are replaced as a whole; 0 is none yet.
+    /// The part that holds the files of this run, where they are replaced as a whole; 0 if there is none yet.
     series: u32,
     /// Open instances that write it: claim number and node.
     holders: Vec<(u64, String)>,
-    /// Against other runs; kept after the last holder has closed, because the run may go on with the next part.
+    /// Excludes other runs; kept after the last holder has closed, because the run may go on with the next part.
     lock: Option<OutputLock>,
-    /// Whether it is a later part of another file. The lock of that file keeps other runs from the name, so that the lock of the part ends with
-    /// its holder: a run of many parts would run out of descriptors.
+    /// Whether it is a later part of another file. The lock of that file also protects this name, so the lock of the
+    /// part ends with its holder; otherwise a run of many parts would run out of descriptors.
     is_part: bool,
 }
 
@@ -91,7 +91,7 @@ impl Drop for Leaving<'_> {
     }
 }
 
-/// Why a node cannot write a file.
+/// A file that a node cannot write.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Claimed {
     /// Another node of this run writes it.
@@ -122,13 +122,13 @@ impl Claims {
         Leaving(self)
     }
 
-    /// Whether an instance of this node claims its files. If so, its successor may open beside it.
+    /// Whether an instance of this node claims its files. If so, its successor may open before it closes.
     pub fn are_used_by(&self, node: &str) -> bool {
         lock(&self.state).files.values().any(|file| file.holders.iter().any(|(_, by)| by == node))
     }
 
-    /// Returns the path to write, or who already writes it. The answer to [`abi::CLAIM_HOLD`] is for files that are replaced as a whole, and
-    /// for patterns of files: the same in the whole run.
+    /// Returns the path to write, or who already writes it. The answer to [`abi::CLAIM_HOLD`] is for files that are
+    /// replaced as a whole, and for patterns of files: the same in the whole run.
     pub fn claim(&self, token: u64, node: &str, path: &Path, action: u32) -> Result<PathBuf, Claimed> {
         if is_special(path) {
             return Ok(path.to_owned());
@@ -186,7 +186,8 @@ impl Claims {
     }
 }
 
-/// Whether there is a file of this name or pattern. Digits stand for `{seq}`, and anything for another place holder; a port may follow the name.
+/// Whether there is a file of this name or pattern. Digits stand for `{seq}`, and anything for another placeholder; a
+/// port may follow the name.
 fn has_files(pattern: &Path) -> bool {
     let Some((folder, name)) = pattern.parent().zip(pattern.file_name().and_then(OsStr::to_str)) else { return false };
     let (before, after) = match (name.find('{'), name.rfind('}')) {
@@ -204,8 +205,8 @@ fn has_files(pattern: &Path) -> bool {
     entries.flatten().any(|entry| entry.file_name().to_str().is_some_and(is_one))
 }
 
-/// One name for all spellings of a path, as far as the file system resolves them. A symbolic link at the path itself is not followed, because
-/// the file that is written replaces it.
+/// One name for all spellings of a path, as far as the file system resolves them. A symbolic link at the path itself is
+/// not followed, because the file that is written replaces it.
 fn key(path: &Path) -> PathBuf {
     match (path.parent().map(Path::canonicalize), path.file_name()) {
         (Some(Ok(folder)), Some(name)) => folder.join(name),

@@ -1,11 +1,13 @@
 //! The host's monotonic clock, cheap enough to be read at every node boundary.
 //!
-//! Where the processor has an invariant time-stamp counter it is read directly (about 10 ns instead of 25 ns). The counter's rate is
-//! measured over 3 ms at the start and again over longer and longer times by [`keep`]. The clock corrects its error by running
-//! slightly faster or slower. If the counter does not keep time, the clock falls back to the operating system's.
+//! Where the processor has an invariant time-stamp counter it is read directly (about 10 ns instead of 25 ns). The
+//! counter's rate is measured over 3 ms at the start and again by [`keep`] over increasing intervals. The clock
+//! corrects its error by running slightly faster or slower. If the counter does not keep time, the clock falls back to
+//! the operating system's.
 //!
-//! The clock counts the time that the machine sleeps, and it never stands still. Where the counter stood still in a sleep, the clock steps
-//! forward; where the counter is ahead, for example after a pause of a virtual machine, the clock goes on from there at its rate.
+//! The clock counts the time that the machine sleeps, and it never stands still. Where the counter stood still in a
+//! sleep, the clock steps forward; where the counter is ahead, for example after a pause of a virtual machine, the
+//! clock goes on from there at its rate.
 
 use std::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock};
@@ -22,9 +24,10 @@ const FIRST_INTERVAL_NS: u64 = 100_000_000;
 const MAX_INTERVAL_NS: u64 = 64_000_000_000;
 /// Largest relative change of the rate to correct an error.
 const MAX_SLEW: f64 = 0.001;
-/// Beyond this difference of rates between two measurements the counter is not used.
+/// Maximum relative difference between two measured rates; beyond it the counter is not used.
 const MAX_RATE_CHANGE: f64 = 0.01;
-/// A larger error is a sleep or a pause, not drift: it is taken as time that has passed, and the measurement starts again.
+/// A larger error is a sleep or a pause, not drift: it is taken as time that has passed, and the measurement starts
+/// again.
 const MAX_ERROR_NS: f64 = 50e6;
 /// Longest time between the two readings of a pair that can show such an error.
 const MAX_GAP_NS: f64 = 10e6;
@@ -35,10 +38,10 @@ struct Stretch {
     begin_ticks: u64,
     /// Time at its start.
     begin_ns: u64,
-    /// Nanoseconds per tick of the counter, times 2^32: one integer multiplication per reading. 0 where the operating system's clock is
-    /// read instead.
+    /// Nanoseconds per tick of the counter, times 2^32: one integer multiplication per reading. 0 where the operating
+    /// system's clock is read instead.
     ns_per_tick_q32: u64,
-    /// How far the clock is ahead of the operating system's, where that is read instead.
+    /// Lead over the operating system's clock, where that is read instead.
     ahead_ns: i64,
     /// Counter ticks until its end, [`NO_END`] while it has none; 0 where the counter is not used.
     span_ticks: AtomicU64,
@@ -124,7 +127,8 @@ struct Pair {
 }
 
 impl Pair {
-    /// Reads both several times and keeps the pair with the smallest gap, because the thread may be preempted between the two readings.
+    /// Reads both several times and keeps the pair with the smallest gap, because the thread may be preempted between
+    /// the two readings.
     fn read(start_ns: u64) -> Self {
         let all = (0..8).map(|_| Self::read_once(start_ns));
         all.min_by_key(|(gap, _)| *gap).map_or(Self { ticks: 0, os_ns: 0 }, |(_, pair)| pair)
@@ -139,19 +143,19 @@ impl Pair {
     }
 }
 
-/// What becomes of the clock.
+/// Next step of the clock.
 #[derive(Debug, PartialEq)]
 enum Next {
-    /// The counter, at this rate.
+    /// Use the counter, at this rate.
     Rate(f64),
-    /// Time has passed that only one of both clocks has counted.
+    /// Step: time has passed that only one of both clocks has counted.
     Step,
-    /// The counter does not keep time.
+    /// Use the operating system's clock; the counter does not keep time.
     Os,
 }
 
-/// Chooses the next rate. `off_ns` is how far the clock is ahead of where the operating system's puts it, `measured` the counter's rate over
-/// the longest known time, `horizon_ns` the time in which to correct the error.
+/// Chooses the next rate. `off_ns` is how far the clock is ahead of where the operating system's puts it, `measured`
+/// the counter's rate over the longest known time, `horizon_ns` the time in which to correct the error.
 fn decide(current: f64, measured: f64, off_ns: f64, horizon_ns: f64) -> Next {
     if off_ns.abs() > MAX_ERROR_NS {
         return Next::Step;
@@ -245,7 +249,7 @@ struct Keeper {
 }
 
 struct Measured {
-    /// The rate is measured from here on.
+    /// Start of the interval over which the rate is measured.
     first: Pair,
     /// Time of the next measurement by the operating system's clock, and the interval after it.
     due_ns: u64,
@@ -258,7 +262,8 @@ impl Keeper {
         Self { start_ns, measured: Mutex::new(Measured { first, due_ns, interval_ns: FIRST_INTERVAL_NS }) }
     }
 
-    /// Whether a measurement is due: by the time, or because of an error at `pair`, whose readings lie `gap_ticks` apart.
+    /// Whether a measurement is due: by the time, or because of an error at `pair`, whose readings lie `gap_ticks`
+    /// apart.
     fn is_due(&self, clock: &Clock, pair: Pair, gap_ticks: u64) -> bool {
         let last = clock.last();
         let is_counter = last.ns_per_tick_q32 != 0;
@@ -324,7 +329,7 @@ fn is_before(last: &Stretch, pair: Pair) -> bool {
     pair.ticks.wrapping_sub(last.begin_ticks) >= NO_END
 }
 
-/// How far the clock is ahead of where the operating system's puts it, in a stretch with a counter that has begun.
+/// Lead of the clock over the operating system's, in a stretch with a counter that has begun.
 fn off_ns(last: &Stretch, pair: Pair) -> i64 {
     let theirs = pair.os_ns.saturating_add_signed(last.ahead_ns);
     last.at(pair.ticks).cast_signed().saturating_sub(theirs.cast_signed())
@@ -440,8 +445,9 @@ mod tests {
         (worst, back)
     }
 
-    /// Simulates 40 s in steps of 7 ms, at second 20 of which the counter passes `counter_ns` and the operating system's clock `os_ns` at once.
-    /// Returns the smallest and the largest step of the clock, and its reading at the end.
+    /// Simulates 40 s in steps of 7 ms, at second 20 of which the counter passes `counter_ns` and the operating
+    /// system's clock `os_ns` at once. Returns the smallest and the largest step of the clock, and its reading at the
+    /// end.
     fn jump(counter_ns: u64, os_ns: u64) -> (u64, u64, u64) {
         let (clock, keeper) = clock(0.333);
         let (mut at_ns, mut at_os_ns) = (0, 0);

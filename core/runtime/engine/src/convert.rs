@@ -12,7 +12,7 @@ pub(crate) fn wants(frame: &Frame) -> bool {
     !frame.is_empty() && frame.format == abi::FORMAT_BGR8
 }
 
-/// The frame as gray8; `None` when frame memory is used up.
+/// The frame as gray8; `None` when frame memory is exhausted.
 pub(crate) fn to_gray8(source: &FrameRef) -> Option<FrameRef> {
     let frame = source.frame();
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);

@@ -45,7 +45,7 @@ pub(crate) trait Running {
     fn tick(&self) -> Tick;
 }
 
-/// What the calling thread does for a node. Copied into threads that help it with a loop.
+/// Work of the calling thread for a node. Copied into threads that help it with a loop.
 #[derive(Clone, Copy)]
 pub(crate) struct CurrentWork {
     /// The node whose `process` runs.
@@ -61,7 +61,8 @@ thread_local! {
     static OTHER: Slot<(*const NodeNames, CallKind)> = const { Slot::new((std::ptr::null(), CallKind::Process)) };
 }
 
-/// The calling thread runs `process` of `node` until [`end_call`]. Costs two stores: the node's name is looked up only after a crash.
+/// The calling thread runs `process` of `node` until [`end_call`]. Costs two stores: the node's name is looked up only
+/// after a crash.
 #[inline]
 pub(crate) fn begin_call(node: &(dyn Running + 'static)) {
     CALL.with(|call| call.set(Some(node)));
@@ -92,7 +93,7 @@ fn set(work_now: CurrentWork) {
     OTHER.with(|other| other.set((work_now.other, work_now.kind)));
 }
 
-/// What the calling thread does now.
+/// The work that the calling thread does now.
 pub(crate) fn current_work() -> CurrentWork {
     let (other, kind) = OTHER.with(Slot::get);
     CurrentWork { call: CALL.with(Slot::get), other, kind }
@@ -139,7 +140,7 @@ fn files() -> &'static Mutex<HashMap<usize, String>> {
     FILES.get_or_init(Mutex::default)
 }
 
-/// A plugin was loaded: its node types come from this file.
+/// Records that a plugin was loaded: its node types come from this file.
 pub(crate) fn loaded(entries: &[&'static abi::NodeType], file: &Path) {
     let mut files = lock(files());
     for entry in entries {

@@ -17,11 +17,12 @@ pub struct SourceTick {
     pub capture_ns: i64,
     /// Whether it entered the graph; otherwise it was dropped.
     pub admitted: bool,
-    /// Whether its packets are missing in the recording.
+    /// Whether its packets are missing from the recording.
     pub gap: bool,
 }
 
-/// The packets that a node takes next: the tick that fires it, and source slot and tick number of each connection's packet.
+/// The packets that a node takes next: the tick that fires it, and source slot and tick number of each connection's
+/// packet.
 #[derive(Clone, Debug)]
 pub struct Wanted {
     /// The tick that fires the node.
@@ -30,7 +31,7 @@ pub struct Wanted {
     pub inputs: Vec<Option<(u32, u64)>>,
 }
 
-/// What a node was answered in one call about the time of its inputs.
+/// Input ages that a node received during one call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ages {
     /// The moment for which ages were given, ns.
@@ -48,19 +49,19 @@ pub enum Turn {
     Opened(Vec<ParamValue>),
     /// The node skips the tick.
     Skipped {
-        /// Whether it is this tick, not one that is missing in this run.
+        /// Whether it is this tick and not an earlier one that this run lacks.
         here: bool,
         /// Whether its instance is closed.
         closed: bool,
     },
 }
 
-/// Why a tick of a source cannot be played.
+/// A tick of a source that cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum FramesError {
     /// The source has lost an output since.
     #[error(
-        "tick {seq} of the recording has a packet of `{node}.{port}`, and the source has no such output here: it cannot be replayed; record again"
+        "tick {seq} of the recording has a packet of `{node}.{port}`, but the source here has no such output: record again"
     )]
     NoOutput {
         /// Number of the tick.
@@ -73,12 +74,12 @@ pub enum FramesError {
     /// A packet cannot be read.
     #[error("{reason}")]
     Read {
-        /// Why.
+        /// Reason.
         reason: String,
     },
 }
 
-/// Makes the decisions that otherwise depend on time. Edits are numbered from 0 in the order in which they were made.
+/// Makes the decisions that otherwise depend on time. Edits are numbered from 0, in order.
 pub trait Decider: Send + Sync {
     /// Whether a node never opens: its ticks are known, or it would act on the world.
     fn closes(&self, is_source: bool, has_side_effects: bool) -> bool;
@@ -107,7 +108,7 @@ pub trait Decider: Send + Sync {
     /// The next event of a node before `tick`; `None` when there is none left.
     fn next_turn(&self, node: &str, tick: &Tick) -> Option<Turn>;
 
-    /// What a node was answered about the time of its inputs at `tick`; `None` where that is unknown.
+    /// Input ages that a node received at `tick`; `None` where they are unknown.
     fn ages(&self, node: &str, tick: &Tick) -> Option<Ages>;
 
     /// Whether the head of a region may admit another tick before the next edit.

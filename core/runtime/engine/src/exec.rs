@@ -32,8 +32,8 @@ impl Port {
     }
 }
 
-/// The instance and the state of its calls; owned by the thread that runs the node. Fields are in order of use: those that every call
-/// touches lie in the first two cache lines.
+/// The instance and the state of its calls; owned by the thread that runs the node. Fields are in order of use: those
+/// that every call touches lie in the first two cache lines.
 #[repr(C, align(64))]
 pub(crate) struct Exec {
     pub instance: Instance,
@@ -79,7 +79,7 @@ pub(crate) struct CallTimes {
     pub now_ns: Option<i64>,
     /// Inputs whose time was asked for, one bit each.
     pub asked: u64,
-    /// What the recorded run returned, in a replay.
+    /// Results of the recorded run, in a replay.
     pub recorded: Option<Box<Ages>>,
     /// Lag that the node declared for its outputs, as [`Tick::flags`].
     pub lag: u32,
@@ -207,12 +207,13 @@ impl ExecPlace {
         (!raw.is_null()).then(|| unsafe { Box::from_raw(raw) })
     }
 
-    /// Puts back the `Exec` that was taken, or its replacement. Only the thread that took it, or the watchdog for it, may do so.
+    /// Puts back the `Exec` that was taken, or its replacement. Only the thread that took it may do so, or the watchdog
+    /// on its behalf.
     pub fn put(&self, exec: Box<Exec>) {
         self.0.store(Box::into_raw(exec), Ordering::Release);
     }
 
-    /// Changes the `Exec`; `None` if a thread runs the node.
+    /// Calls `change` with the `Exec`; `None` if a thread runs the node.
     pub fn with<R>(&self, change: impl FnOnce(&mut Exec) -> R) -> Option<R> {
         let mut exec = self.take()?;
         let result = change(&mut exec);

@@ -28,7 +28,8 @@ pub enum Cause {
     Hang,
     /// The node did not reopen.
     Open,
-    /// An output whose description does not fit its buffer, its declaration or the contract's sizes, or beyond whose end the node wrote.
+    /// An output whose description does not fit its buffer, its declaration or the contract's sizes, or beyond whose
+    /// end the node wrote.
     BadOutput,
     /// An output of a format that its reader does not accept.
     Format,
@@ -54,13 +55,14 @@ pub enum Cause {
     Release,
     /// The node's plugin ended the program: it crashed or called `exit`.
     Crash,
-    /// A node that writes files lacks ticks of its source, which were dropped because the nodes of its region are too slow.
+    /// A node that writes files lacks ticks of its source that were dropped because the nodes of its region are too
+    /// slow.
     Incomplete,
     /// An input was older than `max_age_ms` of its edge and counted as absent.
     TooOld,
 }
 
-/// How many causes there are.
+/// Number of causes.
 pub(crate) const CAUSES: usize = Cause::TooOld as usize + 1;
 
 /// The engine's response to a fault.
@@ -94,7 +96,7 @@ pub struct Fault {
     pub node: String,
     /// The cause of a fault.
     pub cause: Cause,
-    /// Details for people.
+    /// Details for the user.
     pub words: String,
     /// The engine's response.
     pub done: Action,
@@ -103,7 +105,8 @@ pub struct Fault {
     /// For a hang: time from the end of the node's budget until it was detected.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub late_ms: Option<f64>,
-    /// Faults of this node with this cause so far. For causes that may come with every tick only powers of two are reported.
+    /// Faults of this node with this cause so far. For causes that may come with every tick only powers of two are
+    /// reported.
     pub count: u64,
 }
 
@@ -127,7 +130,8 @@ impl Recent {
     }
 }
 
-/// A position in the faults of a run, with the newest faults before it; see [`Engine::faults_since`](crate::Engine::faults_since).
+/// A position in the faults of a run, with the newest faults before it; see
+/// [`Engine::faults_since`](crate::Engine::faults_since).
 pub struct FaultCursor {
     /// The log that it was moved in last.
     log: Weak<Mutex<Recent>>,
@@ -192,7 +196,7 @@ impl FaultLog {
         recent.push(fault);
     }
 
-    /// Waits at most `limit` until all faults are passed on; `false` if they are not.
+    /// Waits up to `limit` until all faults are passed on; `false` if they are not.
     pub fn flush(&self, limit: Duration) -> bool {
         self.out.as_ref().is_none_or(|out| out.flush(limit))
     }
@@ -202,7 +206,8 @@ impl FaultLog {
         lock(&self.recent).faults.iter().cloned().collect()
     }
 
-    /// Moves a cursor past the newest fault; one of another log starts at the first fault. Returns whether its faults changed.
+    /// Moves a cursor past the newest fault; one of another log starts at the first fault. Returns whether its faults
+    /// changed.
     pub fn advance(&self, cursor: &mut FaultCursor) -> bool {
         let this = Arc::downgrade(&self.recent);
         let mut changed = false;
@@ -228,7 +233,7 @@ pub fn unix_ms() -> u64 {
 /// A file of faults.
 struct FaultFile {
     file: File,
-    /// Whether a failed write was reported.
+    /// Whether a failed write was reported already.
     told: bool,
 }
 
@@ -247,7 +252,8 @@ impl FaultFile {
     }
 }
 
-/// A sink for [`crate::Options::faults`] that appends one JSON line per fault to a file. A symbolic link is replaced by a file.
+/// A sink for [`crate::Options::faults`] that appends one JSON line per fault to a file. A symbolic link is replaced by
+/// a file.
 pub fn json_lines(path: &Path) -> std::io::Result<Box<FaultFn>> {
     let file = Mutex::new(FaultFile { file: files::append(path)?, told: false });
     Ok(Box::new(move |fault| {

@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 pub use panoscope_base::files::{create, is_special};
 
-/// How long a run waits for the lock of an output: one that was just killed may still be ending.
+/// Maximum wait of a run for the lock of an output: a run that was just killed may still hold it.
 pub const LOCK_PATIENCE: Duration = Duration::from_secs(1);
-/// Time between two attempts.
+/// Time between two attempts to lock.
 const LOCK_POLL: Duration = Duration::from_millis(10);
 
 /// Another run has the lock of an output.
@@ -30,8 +30,8 @@ pub struct OutputLocked {
 
 /// An exclusive claim on an output, against other processes and other engines of this one.
 ///
-/// It is a lock on the hidden file `.NAME.lock` next to the output, which is removed with it. The system releases the lock when the process
-/// ends, however it ends; the next run takes over a lock file that a killed one left.
+/// It is a lock on the hidden file `.NAME.lock` next to the output, which is removed with it. The system releases the
+/// lock when the process ends, however it ends; the next run takes over a lock file that a killed one left.
 #[derive(Debug)]
 pub struct OutputLock {
     path: PathBuf,
@@ -40,8 +40,8 @@ pub struct OutputLock {
 }
 
 impl OutputLock {
-    /// Takes the lock of `output`, which need not exist. `None` where nothing can be locked: a device or a pipe, a folder that does not exist
-    /// or is not writable, a file system without locks.
+    /// Takes the lock of `output`, which need not exist. `None` where nothing can be locked: a device or a pipe, a
+    /// folder that does not exist or is not writable, a file system without locks.
     ///
     /// # Errors
     /// Another run has the lock, also after `patience`.
@@ -96,10 +96,11 @@ fn is_at(file: &File, path: &Path) -> bool {
     }
 }
 
-/// Opens a file for appending; one that is created has mode 0600. A symbolic link is replaced by a file, as in [`create`].
+/// Opens a file for appending; one that is created has mode 0600. A symbolic link is replaced by a file, as in
+/// [`create`].
 ///
 /// # Errors
-/// Those of the system.
+/// Any error of the file system.
 pub fn append(path: &Path) -> io::Result<File> {
     create_folders(path)?;
     if path.is_symlink() && !is_special(path) {
@@ -108,10 +109,10 @@ pub fn append(path: &Path) -> io::Result<File> {
     OpenOptions::new().create(true).append(true).mode(0o600).open(path)
 }
 
-/// Creates the missing folders on the way to the file `path`, with mode 0700.
+/// Creates the missing parent folders of the file `path`, with mode 0700.
 ///
 /// # Errors
-/// Those of the system.
+/// Any error of the file system.
 pub fn create_folders(path: &Path) -> io::Result<()> {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => DirBuilder::new().recursive(true).mode(0o700).create(folder),

@@ -1,5 +1,6 @@
-//! Calls into plugins off the hot path: open, close, save and load state. They run on a separate thread with a time limit;
-//! if one does not return in time, its thread and instance are abandoned and another thread makes the remaining calls.
+//! Calls into plugins off the hot path: open, close, save and load state. They run on a separate thread with a time
+//! limit; if one does not return in time, its thread and instance are abandoned and another thread makes the remaining
+//! calls.
 //!
 //! On the hot path the watchdog does the same: see [`crate::watch`].
 
@@ -25,9 +26,9 @@ use crate::thread_id;
 
 /// Time limit once the engine stops: long enough for nodes that work.
 const MAX_AT_STOP: Duration = Duration::from_secs(1);
-/// After this time the next node closes beside one that is still closing.
+/// Time after which the next node closes although the previous one is still closing.
 const MAX_TURN: Duration = Duration::from_secs(1);
-/// As much as the main thread has: some libraries need it when they are opened.
+/// Stack size of the main thread, which some libraries need when they open.
 const STACK_BYTES: usize = 8 << 20;
 
 /// A call to make.
@@ -38,15 +39,15 @@ pub(crate) struct Call<T> {
     pub run: Box<dyn FnOnce() -> T + Send>,
 }
 
-/// Why a call has no result.
+/// A call without a result.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CallError {
     /// It took too long.
-    #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .kind.return_words())]
+    #[error("it did not return{} within {seconds:.1} s and was abandoned with its thread", .kind.return_words())]
     NoReturn {
-        /// What was called.
+        /// The called function.
         kind: CallKind,
-        /// How long the engine waited.
+        /// Duration of the wait.
         seconds: f64,
     },
     /// No thread could be started for the call.
@@ -67,7 +68,7 @@ pub(crate) enum CallError {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limit {
     pub usual: Duration,
-    /// Once the engine stops.
+    /// Limit once the engine stops.
     pub at_stop: Duration,
 }
 
@@ -139,9 +140,9 @@ impl<T> Line<T> {
 }
 
 impl Shared {
-    /// Makes calls one after the other, until `goes_on` rejects a result, and passes each result to `take` on the calling thread. A call
-    /// that takes longer than `limit` is abandoned with its thread; its node counts it as stuck until it returns. After such a call
-    /// `take` decides whether the next calls are made.
+    /// Makes calls one after the other, until `goes_on` rejects a result, and passes each result to `take` on the
+    /// calling thread. A call that takes longer than `limit` is abandoned with its thread; its node counts it as stuck
+    /// until it returns. After such a call `take` decides whether the next calls are made.
     pub fn guarded<T: Send + 'static>(
         self: &Arc<Self>,
         limit: Limit,
@@ -200,7 +201,7 @@ impl Shared {
                     drop(state);
                     // Workers that are stuck in its loops are replaced too.
                     if let Err(cause) = self.pool.give_up(number) {
-                        self.fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
+                        self.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
                     }
                     state = line.state();
                     continue;
@@ -344,8 +345,8 @@ impl Shared {
         );
     }
 
-    /// Closes all instances of nodes one after the other; while one takes long, the next ones close beside it. The log names those that are
-    /// not closed at the deadline.
+    /// Closes all instances of nodes one after the other; while one takes long, the next ones close in parallel. The
+    /// log names those that are not closed at the deadline.
     pub fn close_all(self: &Arc<Self>, runtimes: Vec<Arc<NodeRuntime>>, until: Instant) {
         let mut open = Vec::new();
         let mut calls = Vec::new();
@@ -388,7 +389,7 @@ impl<F: Fn()> Drop for OnDrop<F> {
     }
 }
 
-/// Why an instance could not be opened.
+/// An instance that could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OpenError {
     /// The node refused.

@@ -3,33 +3,36 @@
 
 /// Allocations of this size or more are mapped and given back one by one.
 const MAPPED_BYTES: i32 = 256 << 10;
-/// The largest such size that glibc takes.
+/// Maximum of that size in glibc.
 const MAX_MAPPED_BYTES: i32 = 32 << 20;
 
 /// Keeps large blocks out of the heap for the life of the process. A program calls it first thing in `main`.
 ///
-/// glibc raises the limit for mapped blocks to the largest block that was ever freed. From then on pictures and tables lie between small blocks,
-/// and what nodes free when they are opened again goes back to the system late or never: the surgeon's preset, edited twice a second, grew by
-/// 20 MB in three minutes, and not at all with a fixed limit.
+/// glibc raises the limit for mapped blocks to the largest block that was ever freed. From then on frames and tables
+/// lie between small blocks, and memory that nodes free on reopening returns to the system late or never. Measured with
+/// the surgeon's preset, edited twice a second: 20 MB growth in three minutes, none with a fixed limit.
 pub fn keep_large_blocks_apart() {
     set(Some(MAPPED_BYTES), MAPPED_BYTES);
 }
 
-/// The opposite: keeps blocks of up to 32 MiB, the most that glibc allows, in the heap, and eight of them free at its end. For a process that does nothing
-/// but pass pictures on: each of them would otherwise pay for new pages.
+/// The opposite of [`keep_large_blocks_apart`]: keeps blocks of up to 32 MiB, the maximum of glibc, in the heap, and
+/// eight of them free at its end. For a process that only forwards frames, where each frame would otherwise fault in
+/// new pages.
 pub fn keep_large_blocks() {
     set(Some(MAX_MAPPED_BYTES), 8 * MAX_MAPPED_BYTES);
 }
 
-/// Keeps this much free memory at the end of the heap instead of giving it back. A window fills and empties tens of blocks below the limit for
-/// mapped ones with every frame: with a large graph in view a quarter of its time went into pages that were given back and asked for again.
+/// Keeps this much free memory at the end of the heap instead of giving it back. A window allocates and frees tens of
+/// blocks below the limit for mapped ones in every frame; with a large graph in view it spent a quarter of its time on
+/// pages that were returned and faulted in again.
 ///
 /// Call it after [`keep_large_blocks_apart`].
 pub fn keep_free(bytes: usize) {
     set(None, i32::try_from(bytes).unwrap_or(i32::MAX));
 }
 
-/// Sets from which size on blocks are mapped, where it is given, and how much memory may stay free at the end of the heap.
+/// Sets from which size on blocks are mapped, where it is given, and how much memory may stay free at the end of the
+/// heap.
 fn set(mapped_bytes: Option<i32>, free_bytes: i32) {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: sets numbers of the allocator, under its own lock.

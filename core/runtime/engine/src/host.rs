@@ -28,7 +28,7 @@ pub(crate) type Refused = Box<(Cause, String)>;
 
 /// The target of a `call` handle.
 pub(crate) struct CallContext<'a> {
-    /// Output frames of the running call; each non-empty one holds a reference. The node sees only a copy.
+    /// Output frames of the running call; each frame that is not empty holds a reference. The node sees only a copy.
     pub outputs: *mut Frame,
     /// The copy that the node sees.
     pub shown: *mut Frame,
@@ -56,7 +56,7 @@ pub(crate) struct CallContext<'a> {
     pub context: &'a RunContext,
     /// The sources of the graph; none in calls that have no tick.
     pub sources: Option<&'a dyn Sources>,
-    /// What the node asks and declares about times; none in calls that have no tick.
+    /// Questions and declarations of the node about times; none in calls that have no tick.
     pub times: Option<&'a mut CallTimes>,
     /// Whether `times` was used in this call.
     pub has_times: bool,
@@ -121,7 +121,7 @@ impl CallContext<'_> {
         ((index as usize) < self.outputs_len).then(|| unsafe { &mut *self.outputs.add(index as usize) })
     }
 
-    /// Makes a frame, whose one reference the caller gives away, an output of this tick.
+    /// Makes a frame an output of this tick and takes over the caller's reference.
     fn place(&mut self, index: u32, frame: &Frame) -> Status {
         let held = self.lent.take_if(|lent| lent.output == index).is_none();
         match self.output(index) {
@@ -237,9 +237,9 @@ unsafe extern "C" fn alloc(
     }
 }
 
-/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call, as [`abi::Host::alloc`]
-/// does with a new one. Of the frame only buffer and description count. With `is_copy` it is a copy of the output, as [`abi::Host::make_mut`]
-/// makes one: only the buffer counts.
+/// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call,
+/// as [`abi::Host::alloc`] does with a new one. Only buffer and description of the frame are used. With `is_copy` it is
+/// a copy of the output, as [`abi::Host::make_mut`] makes one: only the buffer is used.
 ///
 /// # Safety
 /// `call` is the handle of the running call; `frame` is large enough for its description.
@@ -263,7 +263,8 @@ pub unsafe fn place(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bo
     call_context.place(output, &made)
 }
 
-/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues there.
+/// Keeps the position of a source after the tick of the running call: if its process dies, its next instance continues
+/// there.
 ///
 /// # Safety
 /// `call` is the handle of the running call.
@@ -469,7 +470,8 @@ pub(crate) fn table(threads: usize) -> Host {
     }
 }
 
-/// The table given to a plugin when it is loaded; valid until the process ends. Its handle identifies the plugin on any thread.
+/// The table given to a plugin when it is loaded; valid until the process ends. Its handle identifies the plugin on any
+/// thread.
 pub(crate) fn plugin_table(descriptor: *const abi::Plugin) -> *const Host {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let ctx = retained::plugin_of(descriptor.cast()) as *mut c_void;

@@ -1,4 +1,4 @@
-//! All packets of some outputs for one reader that is not a part of the graph: a queue between listeners and a thread of the caller's own.
+//! A queue that passes all packets of some outputs to one reader outside the graph, on a thread of the caller.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -13,13 +13,13 @@ use crate::sync::lock;
 pub struct Heard {
     /// Position of the output among those that are listened to.
     pub port: u32,
-    /// The packet.
+    /// The packet itself.
     pub frame: FrameRef,
     /// When it was made, of [`clock::now_ns`].
     pub made_ns: u64,
 }
 
-/// What happens when nobody takes packets.
+/// Behaviour if the queue is full.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Full {
     /// The node waits: no packet is lost.
@@ -32,7 +32,7 @@ pub enum Full {
 struct State {
     packets: VecDeque<Heard>,
     dropped: u64,
-    /// Nobody waits for room: see [`Inbox::without_limit`].
+    /// Whether nodes never wait for room: see [`Inbox::without_limit`].
     is_unlimited: bool,
 }
 
@@ -60,7 +60,7 @@ impl Inbox {
         outputs.iter().enumerate().map(listener).collect()
     }
 
-    /// Takes a packet of a node, on the node's thread.
+    /// Queues a packet of a node, on the node's thread.
     fn hear(&self, port: u32, frame: &FrameRef) {
         let heard = Heard { port, frame: frame.clone(), made_ns: clock::now_ns() };
         let mut state = lock(&self.state);
@@ -77,7 +77,7 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// All packets; waits for the first one, but not longer than `most`.
+    /// Takes all packets; waits up to `most` for the first one.
     pub fn take(&self, most: Duration) -> VecDeque<Heard> {
         let until = Instant::now() + most;
         let mut state = lock(&self.state);
@@ -96,7 +96,8 @@ impl Inbox {
         lock(&self.state).dropped
     }
 
-    /// Runs `work`, which waits for the graph, while the queue takes everything: a node that waits for room would wait for this thread.
+    /// Runs `work`, which waits for the graph, with an unlimited queue: a node that waited for room would wait for this
+    /// thread.
     pub fn without_limit<R>(&self, work: impl FnOnce() -> R) -> R {
         self.lift(true);
         let done = work();
@@ -109,7 +110,7 @@ impl Inbox {
         self.changed.notify_all();
     }
 
-    /// No packet waits for room from here on: the run is to end.
+    /// Ends all waits for room, because the run ends.
     pub fn close(&self) {
         self.lift(true);
     }

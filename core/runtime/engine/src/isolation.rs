@@ -1,4 +1,5 @@
-//! Nodes in processes of their own, as the engine sees them: who makes the processes attaches through [`Isolator`].
+//! Nodes in separate processes, as the engine sees them. The code that makes the processes attaches through
+//! [`Isolator`].
 
 use std::collections::BTreeMap;
 use std::ffi::c_void;
@@ -13,16 +14,17 @@ use crate::memory::DomainError;
 pub use crate::outputs::fits;
 use crate::sync::lock;
 
-/// A call of a node that ended because the node's process did. The words come through [`abi::Host::fail`]. No plugin returns this status.
+/// A call of a node that ended because the node's process did. The message comes through [`abi::Host::fail`]. No plugin
+/// returns this status.
 pub const STATUS_DIED: abi::Status = abi::Status::MIN;
 
-/// Why there can be no group of isolated nodes.
+/// A group of isolated nodes cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum GroupError {
     /// The program that runs the graph has no [`Isolator`].
-    #[error("this program runs no processes for nodes")]
+    #[error("this program cannot start processes for nodes")]
     NoIsolator,
-    /// There is no memory that it could share with its process.
+    /// No memory that it could share with its process.
     #[error(transparent)]
     Memory(#[from] DomainError),
 }
@@ -36,7 +38,7 @@ pub trait Isolator: Send + Sync {
     fn group(&self, settings: &GroupSettings) -> Result<Arc<dyn Group>, GroupError>;
 }
 
-/// What a group is to be like.
+/// Settings of a group of isolated nodes.
 #[derive(Clone, Debug)]
 pub struct GroupSettings {
     /// Name in the graph.
@@ -45,9 +47,10 @@ pub struct GroupSettings {
     pub threads: usize,
     /// Maximum number of bytes of private memory that the process may have.
     pub memory_bytes: u64,
-    /// What its nodes may not do.
+    /// Denied permissions of its nodes.
     pub deny: Deny,
-    /// Whether what the process writes to its standard error goes into the words about its end, and not to that of this process.
+    /// Whether the standard error of the process goes into the message about its end instead of to this process's
+    /// standard error.
     pub keeps_stderr: bool,
     /// The machine that it runs on, if it is another one.
     pub machine: Option<Machine>,
@@ -55,13 +58,14 @@ pub struct GroupSettings {
 
 /// The nodes of one name of `isolate`: they run in one process, which is started again after it died.
 pub trait Group: Send + Sync {
-    /// The functions of a node type as they are called for an instance that [`Self::open`] opened. The same for each call with one `entry`.
+    /// The functions of a node type for instances that [`Self::open`] opened. The same for each call with one `entry`.
     fn proxy(&self, entry: &'static abi::NodeType) -> &'static abi::NodeType;
 
     /// [`abi::NodeType::open`] in the process.
     ///
     /// # Safety
-    /// As for `open` of the contract: everything that the call points to outlives it, the host's functions outlive the instance.
+    /// As for `open` of the contract: everything that the call points to outlives it, the host's functions outlive the
+    /// instance.
     unsafe fn open(
         &self,
         entry: &'static abi::NodeType,
@@ -69,15 +73,15 @@ pub trait Group: Send + Sync {
         instance: *mut *mut c_void,
     ) -> abi::Status;
 
-    /// Longest pause before a failed node is opened again, ms: short where only a connection has to come back.
+    /// Maximum pause before a failed node is reopened, ms; short where only a connection has to recover.
     fn max_pause_ms(&self) -> u64 {
         u64::MAX
     }
 
-    /// What of [`GroupSettings::deny`] this kernel cannot refuse, in the words of a graph file.
+    /// Parts of [`GroupSettings::deny`] that this kernel cannot enforce, as named in a graph file.
     fn not_enforced(&self) -> Vec<&'static str>;
 
-    /// What the calls of its nodes cost so far.
+    /// Cost of the calls of its nodes so far.
     fn counts(&self) -> GroupReport;
 
     /// Number of the domain in which its nodes make frames, see [`crate::memory::Domain`].
@@ -87,7 +91,7 @@ pub trait Group: Send + Sync {
     fn kill(&self, reason: &str);
 }
 
-/// What a group of isolated nodes cost.
+/// Cost of a group of isolated nodes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct GroupReport {
     /// Number of the process that runs its nodes now; null while none does, or one starts.
@@ -96,11 +100,11 @@ pub struct GroupReport {
     pub processes: u64,
     /// Ticks that its nodes processed.
     pub calls: u64,
-    /// Messages to the process and back for these ticks; one each if nothing has to be asked.
+    /// Messages to the process and back for these ticks; one each if no further question is asked.
     pub round_trips: u64,
     /// Times the host slept until a message came.
     pub sleeps: u64,
-    /// What the graph denies to the group and this kernel cannot refuse.
+    /// Denials of the graph that this kernel cannot enforce.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub not_enforced: Vec<&'static str>,
     /// The connection to the machine that it runs on, if it is another one.
@@ -125,7 +129,7 @@ pub struct LinkReport {
     pub received_bytes: u64,
 }
 
-/// A group that exists, what its process may not do, and where it runs.
+/// The settings of a group that exists.
 type Known = (Deny, Option<Machine>, Weak<dyn Group>);
 
 /// The groups of a run.
@@ -137,7 +141,7 @@ pub(crate) struct Groups {
     keeps_stderr: bool,
 }
 
-/// Why a node cannot be isolated.
+/// A node cannot be isolated.
 #[derive(Debug, thiserror::Error)]
 #[error("node `{node}` cannot run in the process of group `{group}`: {reason}")]
 pub(crate) struct NotIsolated {
@@ -151,14 +155,14 @@ impl Groups {
         Self { isolator: Mutex::new(isolator), known: Mutex::default(), threads, memory_bytes, keeps_stderr }
     }
 
-    /// New groups are made by this one from now on.
+    /// Sets the maker of further groups.
     pub fn set_isolator(&self, isolator: Option<Arc<dyn Isolator>>) {
         if isolator.is_some() {
             *lock(&self.isolator) = isolator;
         }
     }
 
-    /// A group for one node that is tried in a process of its own.
+    /// A group for one node that is opened on trial in a separate process.
     pub fn for_trial(&self, node: &str, memory_bytes: u64) -> Result<Arc<dyn Group>, GroupError> {
         let settings = GroupSettings {
             name: format!("trial of {node}"),
@@ -180,8 +184,8 @@ impl Groups {
         known.iter().filter_map(|(name, (.., group))| Some((name.clone(), group.upgrade()?.counts()))).collect()
     }
 
-    /// The group that a node runs in, if it is isolated. It exists as long as one of its nodes does. What its process may not do cannot change, so
-    /// that another [`Node::deny`] means another group.
+    /// The group that a node runs in, if it is isolated. It exists as long as one of its nodes does. The denials of a
+    /// process are fixed, so another [`Node::deny`] means another group.
     pub fn of(&self, node: &Node) -> Result<Option<Arc<dyn Group>>, NotIsolated> {
         let Some(name) = &node.isolate else { return Ok(None) };
         let mut known = lock(&self.known);

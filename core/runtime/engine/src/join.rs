@@ -25,7 +25,7 @@ pub(crate) enum Take {
     Wait,
     /// Inputs are staged for this tick; `complete` is false if a required one is empty.
     Fire { tick: Tick, complete: bool },
-    /// No packet will come again.
+    /// No packet will follow.
     Finished,
 }
 
@@ -37,7 +37,7 @@ enum Turn {
     Idle,
     /// A thread runs it.
     Running,
-    /// A thread runs it for the last time: it was taken out of the graph meanwhile.
+    /// A thread runs it for the last time: it was removed from the graph meanwhile.
     Finishing,
     /// It is not fired again.
     Finished,
@@ -176,7 +176,7 @@ impl Join {
         self.has_spare = self.slots.iter().any(|s| s.spare > 0);
     }
 
-    /// Sets how many packets wait at most, and whether they come round a loop, slot by slot.
+    /// Sets per slot how many packets may wait, and whether they come from a loop.
     pub fn set_wires(&mut self, wires: impl Iterator<Item = (usize, bool)>) {
         for (slot, (capacity, is_state)) in self.slots.iter_mut().zip(wires) {
             slot.capacity = capacity.max(1);
@@ -195,7 +195,8 @@ impl Join {
         *self = Join { turn, has_spare, previous, ..new };
     }
 
-    /// Hands all slots over to the node's successor. From here on packets that a call of a producer still delivers here belong to the successor.
+    /// Hands all slots over to the node's successor. From here on packets that a call of a producer still delivers here
+    /// belong to the successor.
     pub fn hand_over(&mut self) -> Join {
         std::mem::replace(self, Join { turn: Turn::Finished, is_handed_over: true, ..Join::default() })
     }

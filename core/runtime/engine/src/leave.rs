@@ -1,8 +1,8 @@
-//! A request to a thread to leave.
+//! A request to a thread to end.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// A request to leave; the thread acknowledges it before it returns.
+/// A request to end; the thread acknowledges it before it returns.
 #[derive(Default)]
 pub(crate) struct Leave(AtomicU8);
 

@@ -1,7 +1,8 @@
-//! The Panoscope engine: it runs checked graphs and reports how they do.
+//! The Panoscope engine: it runs checked graphs and reports their times, drops and faults.
 //!
-//! [`Engine`] opens the nodes of a checked graph and runs ticks through them. It does not know what a node does, where its code comes
-//! from ([`Plugins`]), who records the run ([`observe::Observer`]) or who replaces the clock in a replay ([`decide::Decider`]).
+//! [`Engine`] opens the nodes of a checked graph and runs ticks through them. It does not know what a node does, where
+//! its code comes from ([`Plugins`]), who records the run ([`observe::Observer`]) or who replaces the clock in a replay
+//! ([`decide::Decider`]).
 
 mod applied;
 mod apply;

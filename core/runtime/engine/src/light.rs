@@ -1,16 +1,20 @@
-//! How old the light is that a packet shows.
+//! Age of the light in a packet.
 //!
-//! The light of a tick arrives with its source. A packet carries its tick, and in [`Tick::flags`] how much older than that its oldest and its
-//! newest light are. What a node makes inherits both from its inputs that are not empty, whatever their alignment:
+//! The light of a tick arrives with its source. A packet carries its tick, and in [`Tick::flags`] how much older than
+//! that its oldest and its newest light are. What a node makes inherits both from its inputs that are not empty,
+//! whatever their alignment:
 //!
 //! - An input counts with the time by which its light is older than that of the tick.
-//! - A `delay` input on a loop is the state of the tick before. Its one step is not counted: it counts with the time by which its packet is
-//!   older than the reader's previous tick. The lag that the packet has itself fades with the time since, so no age grows round a loop.
-//! - What shows no light does not count: an input that only says where to look (`guide = true` on its edge), a `calibration`, and the packets
-//!   of a source that owns no device and ended after a single tick, such as a reader of one file.
-//! - What a source makes has the light of its own tick, whatever its inputs are.
+//! - A `delay` input on a loop is the state of the tick before. Its one step is not counted: it counts with the time by
+//!   which its packet is older than the reader's previous tick. The lag that the packet has itself fades with the time
+//!   since, so no age grows round a loop.
+//! - What shows no light does not count: an input that only says where to look (`guide = true` on its edge), a
+//!   `calibration`, and the packets of a source that owns no device and ended after a single tick, such as a reader of
+//!   one file.
+//! - What a source makes has the capture time of its own tick, whatever its inputs are.
 //!
-//! In `batch` and in a replay the capture time takes the place of the arrival, so that no result depends on the wall clock.
+//! In `batch` and in a replay the capture time takes the place of the arrival, so that no result depends on the wall
+//! clock.
 
 use panoscope_abi::Tick;
 
@@ -21,7 +25,7 @@ const NEWEST_BITS: u32 = 12;
 const EXPONENT_BITS: u32 = 5;
 const NEWEST: u32 = (1 << NEWEST_BITS) - 1;
 
-/// How much older than its tick the light of a packet is, ns, not negative.
+/// Lag of a packet's light behind its tick, ns, not negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Lag {
     pub oldest_ns: i64,
@@ -51,7 +55,7 @@ impl Lag {
         encode(self.oldest_ns, 32 - NEWEST_BITS) << NEWEST_BITS | encode(self.newest_ns, NEWEST_BITS)
     }
 
-    /// Of what is made from both.
+    /// Lag of data made from both.
     fn with(self, other: Self) -> Self {
         Self { oldest_ns: self.oldest_ns.max(other.oldest_ns), newest_ns: self.newest_ns.min(other.newest_ns) }
     }
@@ -63,7 +67,8 @@ pub(crate) fn later(a: u32, b: u32) -> u32 {
     if b == 0 { a } else { (a & !NEWEST).max(b & !NEWEST) | (a & NEWEST).max(b & NEWEST) }
 }
 
-/// A number of `bits` bits, of which [`EXPONENT_BITS`] are the exponent: exact while it is small, rounded up from there on.
+/// A number of `bits` bits, of which [`EXPONENT_BITS`] are the exponent: exact while it is small, rounded up from there
+/// on.
 fn encode(lag_ns: i64, bits: u32) -> u32 {
     let digits = bits - EXPONENT_BITS;
     let units = lag_ns.max(0).unsigned_abs().div_ceil(UNIT_NS);
@@ -86,13 +91,14 @@ fn decode(code: u32, bits: u32) -> i64 {
 
 /// The sources of a running graph.
 pub(crate) trait Sources {
-    /// When the light of a tick arrived, in ns of the host's clock; negative for light from before its start. `None` where it is unknown.
+    /// When the light of a tick arrived, in ns of the host's clock; negative for light from before its start. `None`
+    /// where it is unknown.
     fn arrived_ns(&self, tick: &Tick) -> Option<i64>;
 
-    /// Whether the packets of a tick show no light: its source owns no device and ended after this one tick.
+    /// Whether the packets of a tick show no light, because its source owns no device and ended after this one tick.
     fn is_constant(&self, tick: &Tick) -> bool;
 
-    /// Whether a tick is so old that its arrival time is not kept: [`Self::arrived_ns`] is later than it was.
+    /// Whether a tick is so old that its arrival time was discarded; [`Self::arrived_ns`] is then too late.
     fn is_forgotten(&self, tick: &Tick) -> bool;
 
     /// When the oldest light of a packet arrived.
@@ -104,7 +110,7 @@ pub(crate) trait Sources {
 /// The ages of packets at one moment.
 pub(crate) struct Lights<'a> {
     pub sources: &'a dyn Sources,
-    /// By capture times.
+    /// Whether ages are differences of capture times.
     pub by_capture: bool,
     /// The moment, ns of the host's clock.
     pub now_ns: u64,
@@ -116,7 +122,7 @@ impl Lights<'_> {
         if self.by_capture { Some(tick.capture_ns) } else { self.sources.arrived_ns(tick) }
     }
 
-    /// How much older the light of `packet` is than that of `tick`; `None` where that is unknown and for what shows no light.
+    /// Lag of the light of `packet` behind that of `tick`; `None` where it is unknown and for packets without light.
     pub fn lag(&self, tick: &Tick, packet: &Tick) -> Option<Lag> {
         let lag = Lag::carried(packet);
         if is_same(tick, packet) {
@@ -130,7 +136,7 @@ impl Lights<'_> {
         Some(Lag { oldest_ns: lag_ns(lag.oldest_ns), newest_ns: lag_ns(lag.newest_ns) })
     }
 
-    /// As [`Self::lag`], for a state that comes round a loop; `previous` is the reader's previous tick.
+    /// As [`Self::lag`], for a state that a loop feeds back; `previous` is the reader's previous tick.
     pub fn lag_of_state(&self, tick: &Tick, packet: &Tick, previous: Option<Tick>) -> Option<Lag> {
         let newest_ns = self.lag(tick, packet)?.newest_ns;
         let (tick_ns, packet_ns) = (self.arrived_ns(tick)?, self.arrived_ns(packet)?);
@@ -141,8 +147,8 @@ impl Lights<'_> {
         Some(Lag { oldest_ns, newest_ns: newest_ns.min(oldest_ns) })
     }
 
-    /// Age of the oldest light of a packet that is taken for `tick`: now, or at the tick's capture time; `None` as for [`Self::lag`], and `i64::MAX`
-    /// for a packet of a tick so old that nobody knows its age.
+    /// Age of the oldest light of a packet that is taken for `tick`: now, or at the tick's capture time; `None` as for
+    /// [`Self::lag`], and `i64::MAX` for a packet of a tick so old that its age is unknown.
     pub fn age_ns(&self, tick: &Tick, packet: &Tick) -> Option<i64> {
         if self.by_capture {
             return Some(self.lag(tick, packet)?.oldest_ns);
@@ -157,7 +163,7 @@ impl Lights<'_> {
     }
 }
 
-/// Lag of what is made from packets of these lags, as [`Tick::flags`].
+/// Lag of data made from packets with these lags, as [`Tick::flags`].
 pub(crate) fn inherited(lags: impl Iterator<Item = Lag>) -> u32 {
     lags.reduce(Lag::with).map_or(0, Lag::flags)
 }

@@ -1,4 +1,4 @@
-//! What a plugin loader needs from the engine: the host's function table, and names for crash reports.
+//! Parts of the engine for a plugin loader: the host's function table, and names for crash reports.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -9,7 +9,7 @@ use panoscope_graph::Validator;
 use crate::current_node;
 use crate::host;
 
-/// The table of host functions for a plugin; valid until the process ends.
+/// The host's function table for a plugin; valid until the process ends.
 ///
 /// `descriptor` is the plugin's own description. It identifies the plugin and is not read.
 pub fn plugin_table(descriptor: *const abi::Plugin) -> *const abi::Host {
@@ -21,12 +21,14 @@ pub fn plugin_table(descriptor: *const abi::Plugin) -> *const abi::Host {
 
 static OTHER_TABLE: OnceLock<&'static abi::Host> = OnceLock::new();
 
-/// Plugins loaded from now on get this table: in a process that runs no graph, but nodes of another process's graph. The first call counts.
+/// Sets the table for plugins that are loaded later, in a process that runs nodes of another process's graph. Only the
+/// first call has an effect.
 pub fn use_table(table: &'static abi::Host) {
     let _ = OTHER_TABLE.set(table);
 }
 
-/// Runs code of a plugin's file that belongs to no node yet: constructors, its description. A crash report names the file.
+/// Runs code of a plugin's file that belongs to no node yet: constructors, its description. A crash report names the
+/// file.
 pub fn run<T>(file: &Path, work: impl FnOnce() -> T) -> T {
     current_node::loading(file, work)
 }

@@ -13,7 +13,7 @@ use crate::outbox::{self, Outbox};
 pub enum Level {
     /// A node failed.
     Error,
-    /// Something a user should know.
+    /// A problem that the user should know.
     Warn,
     /// Progress.
     Info,
@@ -84,7 +84,7 @@ impl Log {
         Recent::push(&mut lines, line);
     }
 
-    /// Waits at most `limit` until all lines are passed on; `false` if they are not.
+    /// Waits up to `limit` until all lines are passed on; `false` if they are not.
     pub fn flush(&self, limit: Duration) -> bool {
         self.out.as_ref().is_none_or(|out| out.flush(limit))
     }
@@ -95,8 +95,8 @@ impl Log {
     }
 }
 
-/// Waits at most `limit` until the lines and faults of all engines of the process are passed on; `false` if they are not. For a
-/// program that is crashing: takes no lock and allocates nothing.
+/// Waits up to `limit` until the lines and faults of all engines of the process are passed on; `false` if they are not.
+/// For a program that is crashing: takes no lock and allocates nothing.
 pub fn flush_all(limit: Duration) -> bool {
     outbox::flush_all(limit)
 }

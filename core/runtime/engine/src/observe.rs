@@ -1,4 +1,4 @@
-//! What an engine reports of its run, for example to a recorder.
+//! Reports of a run, for example to a recorder.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ pub enum Event {
     Dropped {
         /// The source.
         node: String,
-        /// The tick.
+        /// Number of the tick.
         seq: u64,
     },
     /// The packets that a node took whose inputs do not all belong to one tick.
@@ -88,10 +88,10 @@ pub enum Event {
     Fault(Fault),
 }
 
-/// Takes a report of a problem of the observer, such as a full disk.
+/// Receives a report of a problem of the observer, such as a full disk.
 pub type ReportFn = dyn Fn(&str) + Send + Sync;
 
-/// Receives everything that a replay needs: what came from outside, and what depended on time.
+/// Receives everything that a replay needs: input from outside, and decisions that depended on time.
 ///
 /// The engine's threads call these between two nodes, so that none may wait for a disk.
 pub trait Observer: Send + Sync {
@@ -101,7 +101,7 @@ pub trait Observer: Send + Sync {
     /// Whether all other nodes make all their outputs, too.
     fn wants_all_outputs(&self) -> bool;
 
-    /// Something happened.
+    /// Receives an event.
     fn event(&self, event: Event);
 
     /// The region of `head` admitted a tick.
@@ -110,13 +110,13 @@ pub trait Observer: Send + Sync {
     /// Ticks that the region of `head` has admitted.
     fn admitted_by(&self, head: &str) -> u64;
 
-    /// A node that is no source made these outputs. The frames are borrowed for the call.
+    /// A node that is not a source made these outputs. The frames are borrowed for the call.
     fn outputs(&self, node: &str, ports: &Arc<[String]>, outputs: &[Frame]);
 
     /// A source made a tick. The frames are borrowed for the call.
     fn source_tick(&self, node: &str, ports: &Arc<[String]>, tick: &Tick, outputs: &[Frame]);
 
-    /// Where problems are reported from now on.
+    /// Sets where problems are reported.
     fn report_to(&self, report: Box<ReportFn>);
 
     /// The process is about to end after a crash: completes the files by `until`. Returns whether that was done.

@@ -1,5 +1,5 @@
-//! A bounded queue in front of a slow reader: a terminal that nobody reads, a full pipe, a disk. Writers never wait. Items that find the
-//! queue full are counted, and the count takes their place.
+//! A bounded queue in front of a slow reader: a terminal that nobody reads, a full pipe, a disk. Writers never wait.
+//! Items that find the queue full are counted, and the count takes their place.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 use crate::sync::lock;
 
-/// Length of the queue; more items are skipped.
+/// Length of the queue; further items are skipped.
 pub(crate) const MAX_WAITING: usize = 1024;
-/// How long dropping a queue waits for items that are not written yet.
+/// Maximum wait of dropping a queue for unwritten items.
 const MAX_FLUSH: Duration = Duration::from_secs(1);
 
 /// Items of all queues of the process that are not written yet.
@@ -29,15 +29,15 @@ struct State<T> {
 
 struct Inner<T> {
     state: Mutex<State<T>>,
-    /// An item waits, or the queue ends.
+    /// Signalled when an item waits or the queue ends.
     wake: Condvar,
-    /// No item waits.
+    /// Signalled when no item waits.
     done: Condvar,
     /// Makes the item that stands for this many skipped ones.
     note: fn(u64) -> T,
 }
 
-/// See the module.
+/// A bounded queue with its own thread; see the module.
 pub(crate) struct Outbox<T: Send + 'static> {
     inner: Arc<Inner<T>>,
     /// Without a thread the caller of `put` writes the item.
@@ -73,8 +73,8 @@ impl<T> Inner<T> {
 }
 
 impl<T: Send + 'static> Outbox<T> {
-    /// A queue whose thread, of this name, passes items to `write` one after the other. A panic of `write` loses one item, not the queue;
-    /// `panicked` receives the panic's message.
+    /// A queue whose thread, of this name, passes items to `write` one after the other. A panic of `write` loses one
+    /// item, not the queue; `panicked` receives the panic's message.
     pub fn new(
         name: &str,
         note: fn(u64) -> T,
@@ -129,7 +129,7 @@ impl<T: Send + 'static> Outbox<T> {
         self.inner.wake.notify_one();
     }
 
-    /// Waits at most `limit` until all items are written; `false` if they are not.
+    /// Waits up to `limit` until all items are written; `false` if they are not.
     pub fn flush(&self, limit: Duration) -> bool {
         let until = Instant::now() + limit;
         let mut state = self.inner.state();
@@ -152,8 +152,8 @@ impl<T: Send + 'static> Drop for Outbox<T> {
     }
 }
 
-/// Waits at most `limit` until all queues of the process are written. Takes no lock and allocates nothing, so that it
-/// may be called while the program crashes.
+/// Waits up to `limit` until all queues of the process are written. Takes no lock and allocates nothing, so that it may
+/// be called while the program crashes.
 pub(crate) fn flush_all(limit: Duration) -> bool {
     const STEP_MS: u64 = 2;
     for _ in 0..limit.as_millis() as u64 / STEP_MS + 1 {

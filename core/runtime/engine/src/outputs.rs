@@ -5,10 +5,10 @@ use panoscope_base::format;
 
 use crate::fault::Cause;
 
-/// Largest output of a node.
+/// Maximum size of an output of a node, bytes.
 pub(crate) const MAX_OUTPUT_BYTES: usize = 256 << 20;
 
-/// How to check the contents of an output after a call.
+/// Check of the content of an output after a call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum ContentCheck {
     Nothing,
@@ -73,7 +73,7 @@ impl OutputRule {
         }
     }
 
-    /// Why a description does not [`fit`].
+    /// The reason why a description does not [`fit`].
     #[cold]
     pub fn objection(&self, frame: &Frame) -> (Cause, String) {
         let allowed = is_allowed(self.formats, frame.format);
@@ -92,7 +92,7 @@ impl OutputRule {
             return (Cause::TooMuch, words);
         }
         let words =
-            format!("output `{name}`: {width}x{height} with {stride_bytes} bytes a row does not fit {len} bytes");
+            format!("output `{name}`: {width}x{height} with {stride_bytes} bytes per row does not match {len} bytes");
         (Cause::BadOutput, words)
     }
 
@@ -101,7 +101,7 @@ impl OutputRule {
         if fits(self.formats, frame) { self.inspect(frame, frame) } else { Err(self.objection(frame)) }
     }
 
-    /// Checks what the node made. `shown` is the copy that the node could change.
+    /// Checks an output after a call. `shown` is the copy that the node could change.
     pub fn inspect(&self, frame: &Frame, shown: &Frame) -> Result<(), (Cause, String)> {
         if !is_same(frame, shown) {
             let words = format!("the node changed the description of output `{}`, which only the host may", self.name);
@@ -132,12 +132,12 @@ impl OutputRule {
             }
         }
         match numbers.iter().position(|n| !n.is_finite()) {
-            Some(at) => Err((Cause::NotANumber, format!("output `{name}` holds {} at place {at}", numbers[at]))),
+            Some(at) => Err((Cause::NotANumber, format!("output `{name}` has {} at index {at}", numbers[at]))),
             None => Ok(()),
         }
     }
 
-    /// Samples a few dozen pixels of the plane, because a full scan would cost more than many nodes do.
+    /// Samples a few dozen pixels of the plane, because a full scan would cost more than many nodes.
     fn look_at_plane(&self, frame: &Frame) -> Result<(), (Cause, String)> {
         const LOOKS: usize = 32;
         if frame.format != abi::FORMAT_F32 {

@@ -24,12 +24,12 @@ impl Snapshot {
         Arc::new(Self { laid_out, owned, version: VERSION.fetch_add(1, Ordering::Relaxed) })
     }
 
-    /// In the contract's layout.
+    /// The values in the contract's layout.
     pub fn values(&self) -> &[abi::ParamValue] {
         self.laid_out.values()
     }
 
-    /// As values of the graph crate.
+    /// The values as types of the graph crate.
     pub fn owned(&self) -> &[ParamValue] {
         &self.owned
     }

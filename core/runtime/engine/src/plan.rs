@@ -1,7 +1,7 @@
 //! Lays out a checked graph for the scheduler: readers of each output, inline chains, regions.
 //!
-//! A node has a *slot*, a number that it keeps as long as a node of its name is in the graph, so that ticks and tasks in
-//! flight mean the same node before and after a change. Slots of removed nodes are reused.
+//! A node has a *slot*, a number that it keeps as long as a node of its name is in the graph, so that ticks and tasks
+//! in flight mean the same node before and after a change. Slots of removed nodes are reused.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -184,19 +184,19 @@ fn capacity(graph: &Graph, edge: &Edge, any_trigger: bool) -> usize {
     edge.queue.map_or_else(|| Slot::usual_capacity(rule), |queue| queue as usize)
 }
 
-/// Queue length of each edge into a node, and whether it closes a loop, in the order of its slots.
+/// Queue length of each edge into a node, and whether the edge closes a loop, in the order of the slots.
 pub(crate) fn wires(graph: &Graph, node: usize) -> impl Iterator<Item = (usize, bool)> {
     let edges = graph.inputs_of(node);
     let any_trigger = edges.iter().any(|e| e.trigger);
     edges.iter().map(move |edge| (capacity(graph, edge, any_trigger), is_state(graph, edge)))
 }
 
-/// Whether an edge brings a state round a loop, see [`crate::light`].
+/// Whether an edge feeds a state back through a loop, see [`crate::light`].
 fn is_state(graph: &Graph, edge: &Edge) -> bool {
     edge.delay > 0 && leads_to(graph, edge.to_node, edge.from_node)
 }
 
-/// Whether something that node `from` makes reaches node `to`.
+/// Whether an output of node `from` reaches node `to`.
 fn leads_to(graph: &Graph, from: usize, to: usize) -> bool {
     let mut reached = vec![false; graph.nodes.len()];
     let mut next = vec![from];
@@ -236,7 +236,8 @@ pub(crate) fn outputs_read(graph: &Graph, node: usize) -> u64 {
     graph.outputs_of(node).fold(0u64, |bits, e| bits | 1u64.checked_shl(e.from_port as u32).unwrap_or(0))
 }
 
-/// The kind that a node counts as: one that waits for another machine is no work for the pool's threads, and one on a given core needs a thread.
+/// The kind that a node counts as: a node that waits for another machine must not occupy the pool, and a node pinned to
+/// a core needs its own thread.
 fn kind(node: &Node, declared: NodeKind) -> NodeKind {
     let is_pinned = node.cpu.is_some() && declared == NodeKind::Compute;
     if node.machine.is_some() || is_pinned { NodeKind::Blocking } else { declared }
@@ -270,7 +271,8 @@ pub(crate) fn runtime(
     Arc::new(NodeRuntime::new(spec, join, Snapshot::new(node.params.clone())))
 }
 
-/// Lays out a graph whose nodes have runtimes. `slots` is the slot of each node; regions of `old` whose head stays are kept.
+/// Lays out a graph whose nodes have runtimes. `slots` is the slot of each node; regions of `old` whose head stays are
+/// kept.
 pub(crate) fn lay_out(
     graph: &Graph,
     catalog: &Catalog,
@@ -375,13 +377,14 @@ fn inline_chains(
     }
 }
 
-/// Ticks inside a region in batch. Independent of the number of threads, because results of a loop with a delay depend on the overlap.
+/// Ticks inside a region in batch. Independent of the number of threads, because results of a loop with a delay depend
+/// on the overlap.
 const TICKS_IN_BATCH: u32 = 4;
 /// Ticks inside a live region: one starts while the one before it ends.
 pub const TICKS_LIVE: u32 = 2;
 
-/// Which nodes a tick waits for: nodes without readers (they write, move or show something), nodes that lead there by inputs that wait, and
-/// nodes that close a loop. A node read only by `latest` inputs may run late: its readers continue without it.
+/// Which nodes a tick waits for: nodes without readers (sinks), nodes that lead there by inputs that wait, and nodes
+/// that close a loop. A node read only by `latest` inputs may run late: its readers continue without it.
 fn urgencies(graph: &Graph) -> Vec<Urgency> {
     let mut urgent = vec![false; graph.nodes.len()];
     for &node in graph.order.iter().rev() {
@@ -463,7 +466,8 @@ mod tests {
     use super::*;
     use panoscope_graph::{OnFault, Preset};
 
-    /// A graph of nodes by name; edges as `from > to`, `from ~ to` for the newest there is, `from . to` for that of the tick before.
+    /// A graph of nodes by name; edges as `from > to`, `from ~ to` for the newest there is, `from . to` for that of the
+    /// tick before.
     fn graph(nodes: &[&str], edges: &[&str]) -> Graph {
         let node = |id: &&str| Node {
             id: (*id).to_owned(),
@@ -550,7 +554,8 @@ mod tests {
         assert_eq!(urgencies(&graph), [Urgency::Urgent, Urgency::Patient, Urgency::Urgent]);
     }
 
-    /// Text with parts and the same graph in one file are laid out alike: same order, readers, regions and urgency, so hops cost the same.
+    /// Text with parts and the same graph in one file are laid out alike: same order, readers, regions and urgency, so
+    /// hops cost the same.
     #[test]
     fn parts_do_not_change_the_plan() {
         use panoscope_graph::{GraphOptions, GraphText, NodeType, PacketType, Port, check};

@@ -17,7 +17,7 @@ use crate::stats::bump;
 use crate::threads::{capture_fits, capture_words};
 
 impl Shared {
-    /// Plays a source's known ticks; returns whether the thread is to leave.
+    /// Plays a source's known ticks; returns whether the thread must end.
     pub(crate) fn play(&self, decider: &dyn Decider, node: usize, runtime: &Arc<NodeRuntime>) -> bool {
         if !decider.has_source(&runtime.id) {
             return false;
@@ -89,8 +89,8 @@ impl Shared {
         false
     }
 
-    /// The packets of a replayed tick. Withholds packets that the source may not make here, such as one of a format that it no longer
-    /// declares.
+    /// The packets of a replayed tick. Withholds packets that the source may not make here, such as one of a format
+    /// that it no longer declares.
     fn admit_frames(&self, runtime: &NodeRuntime, tick: Tick, frames: Vec<Option<FrameRef>>) -> Vec<FrameRef> {
         let mut frames = frames.into_iter();
         let outputs = runtime.rules.iter().map(|rule| {

@@ -1,4 +1,4 @@
-//! Where the engine finds the code of node types.
+//! Source of the code of node types.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,12 +13,12 @@ pub trait Plugins {
     /// The entry of a node type of a plugin.
     fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType>;
 
-    /// Makes the processes of isolated nodes; `None` where there are none.
+    /// Makes the processes of isolated nodes; `None` if isolation is not available.
     fn isolator(&self) -> Option<Arc<dyn Isolator>> {
         None
     }
 
-    /// Decides which nodes are tried in a process of their own before they open; `None` where none is.
+    /// Decides which nodes are opened on trial in a separate process first; `None` for no trials.
     fn vet(&self) -> Option<Arc<dyn Vet>> {
         None
     }

@@ -20,7 +20,7 @@ use crate::scratch::Scratch;
 use crate::sync::lock;
 use crate::thread_id;
 
-/// Longest wait of a patient task behind urgent ones.
+/// Maximum wait of a patient task behind urgent ones.
 const MAX_PATIENCE_NS: u64 = 100_000_000;
 /// Time that urgent tasks wait while no worker returns from its task, until another worker is added.
 const MAX_STALL_NS: u64 = 100_000_000;
@@ -28,7 +28,7 @@ const MAX_STALL_NS: u64 = 100_000_000;
 /// Runs a node task; called on a worker.
 pub type Task = Arc<dyn Fn(u32, &mut Scratch) + Send + Sync>;
 
-/// A parallel loop. It lies on the stack of its caller, who waits until all chunks are done.
+/// A parallel loop. It is on the stack of its caller, who waits until all chunks are done.
 struct Loop {
     body: unsafe extern "C" fn(*mut c_void, usize),
     data: *mut c_void,
@@ -40,7 +40,7 @@ struct Loop {
     caller_number: u32,
     /// Urgency of the node that it belongs to.
     urgency: Urgency,
-    /// The node that it belongs to.
+    /// The work of the node that it belongs to.
     doing: CurrentWork,
     /// The frames retained by the instance whose call it is part of.
     scope: retained::Scope,
@@ -59,7 +59,8 @@ pub enum Urgency {
 }
 
 impl Loop {
-    /// Runs chunks until none is left. A helper leaves a patient loop when an urgent task waits; the loop's caller continues.
+    /// Runs chunks until none is left. A helper leaves a patient loop when an urgent task waits; the loop's caller
+    /// continues.
     fn help(&self, inner: &Inner) {
         while self.urgency == Urgency::Urgent || inner.urgent_tasks.load(Ordering::Relaxed) == 0 {
             if !self.run_chunk() {
@@ -91,7 +92,7 @@ unsafe impl Send for LoopPtr {}
 
 struct State {
     urgent: VecDeque<u32>,
-    /// Each with the time at which it was queued.
+    /// Patient tasks, each with the time at which it was queued.
     patient: VecDeque<(u32, u64)>,
     loops: Vec<LoopPtr>,
     idle: usize,
@@ -106,14 +107,14 @@ struct State {
     live: usize,
     /// Extra workers while all others are stuck, see [`Pool::relieve`].
     reliefs: Vec<u32>,
-    /// How often a worker returned for another task.
+    /// Number of times that a worker returned for another task.
     turns: u64,
     /// Time since which urgent tasks wait while `returns` does not change; 0 if none waits.
     stalled: (u64, u64),
 }
 
 impl State {
-    /// How long the oldest patient task has waited, in ns.
+    /// Wait of the oldest patient task, ns.
     fn patient_for(&self, now_ns: u64) -> u64 {
         self.patient.front().map_or(0, |(_, since_ns)| now_ns.saturating_sub(*since_ns))
     }
@@ -139,7 +140,7 @@ pub(crate) type PanicFn = Box<dyn Fn(&str, &str) + Send + Sync>;
 
 struct Inner {
     state: Mutex<State>,
-    /// How many urgent tasks wait; read without the lock.
+    /// Number of waiting urgent tasks; read without the lock.
     urgent_tasks: AtomicUsize,
     wake: Condvar,
     /// A worker has started.
@@ -249,7 +250,8 @@ impl Pool {
         let _ = self.inner.panicked.set(tell);
     }
 
-    /// Starts the workers and waits until they run, so that the allocations of a starting thread do not fall between ticks.
+    /// Starts the workers and waits until they run, so that the allocations of a starting thread do not fall between
+    /// ticks.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
         *lock(&self.task) = Some(Arc::clone(task));
         self.fill(task)?;
@@ -294,8 +296,8 @@ impl Pool {
         Ok(())
     }
 
-    /// Abandons a thread that does not return from a node, with all workers that are stuck in its loops or in theirs, and starts
-    /// new workers in their place. The thread may be no worker. Abandoned threads end when they return.
+    /// Abandons a thread that does not return from a node, with all workers that are stuck in its loops or in theirs,
+    /// and starts new workers in their place. The thread need not be a worker. Abandoned threads end when they return.
     pub fn give_up(&self, thread: u32) -> std::io::Result<()> {
         if thread == 0 {
             return Ok(());
@@ -323,13 +325,13 @@ impl Pool {
         task.map_or(Ok(()), |task| self.fill(&task))
     }
 
-    /// An abandoned thread that is no worker has returned.
+    /// Records the return of an abandoned thread that is not a worker.
     pub(crate) fn left(&self, thread: u32) {
         lock(&self.inner.state).given_up.retain(|n| *n != thread);
     }
 
-    /// Call this a few times per second. If urgent tasks wait and no worker returns, because all are in calls that may be hung,
-    /// adds a worker so that unrelated nodes continue. That worker ends when no urgent task waits.
+    /// Called a few times per second. If urgent tasks wait and no worker returns, because all are in calls that may be
+    /// hung, adds a worker so that unrelated nodes continue. That worker ends when no urgent task waits.
     pub(crate) fn relieve(&self, now_ns: u64) -> std::io::Result<bool> {
         let mut state = lock(&self.inner.state);
         let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > MAX_PATIENCE_NS;
@@ -358,7 +360,7 @@ impl Pool {
         CURRENT.set(Some(Arc::clone(&self.inner)));
     }
 
-    /// Like [`Self::enter`], until the guard goes.
+    /// Like [`Self::enter`], until the guard is dropped.
     pub fn visit(&self) -> Visit<'_> {
         Visit { before: CURRENT.replace(Some(Arc::clone(&self.inner))), pool: std::marker::PhantomData }
     }
@@ -408,8 +410,8 @@ pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
     true
 }
 
-/// Runs tasks until the pool stops or the worker is abandoned. An extra worker takes only urgent tasks and ends when there is none;
-/// it helps in no loop, because the others may be stuck in one.
+/// Runs tasks until the pool stops or the worker is abandoned. An extra worker takes only urgent tasks and ends when
+/// there is none; it helps in no loop, because the others may be stuck in one.
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
     CURRENT.set(Some(Arc::clone(inner)));
     warm_up();

@@ -34,7 +34,7 @@ pub struct NumberListener {
     pub hear: Arc<HearNumberFn>,
 }
 
-/// Where a port's packets go.
+/// A target of a port's packets.
 struct Subscription {
     newest: Mutex<Option<FrameRef>>,
     hear: Option<Arc<HearFn>>,

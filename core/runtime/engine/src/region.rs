@@ -1,8 +1,8 @@
 //! Regions: nodes joined by `exact` edges, entered by whole ticks through one head.
 //!
 //! A tick is in flight from its admission until every leaf of the region is done with it. In live mode ticks are
-//! dropped only here, where they enter; inside, queues never drop. A paused region admits nothing and retains what comes, so
-//! that the graph can be changed when the ticks inside have finished.
+//! dropped only here, where they enter; inside, queues never drop. A paused region admits nothing and retains what
+//! comes, so that the graph can be changed when the ticks inside have finished.
 
 use std::collections::VecDeque;
 use std::sync::Mutex;
@@ -12,22 +12,22 @@ use crate::memory::FrameRef;
 use crate::sync::lock;
 
 const RING: usize = 256;
-/// Ticks retained during a pause; beyond that the oldest are dropped. A graph that is slower than its source works on all of them before newer
-/// ones, so more would make it late for longer.
+/// Ticks retained during a pause; beyond that the oldest are dropped. A graph that is slower than its source works on
+/// all of them before newer ones, so a longer queue would only delay it more.
 const MAX_PAUSED: usize = 256;
 
 struct State {
     in_flight: u32,
     paused: bool,
-    /// A thread delivers ticks that waited; until it is done newer ticks have to wait.
+    /// Whether a thread delivers ticks that waited; newer ticks wait until it is done.
     handing: bool,
-    /// The region pauses before this tick of its source.
+    /// The tick of its source before which the region pauses.
     pause_before: u64,
-    /// The tick after the last that came.
+    /// Number of the tick after the last one that arrived.
     next_seq: Option<u64>,
     /// Ticks of a live source that wait to enter: those of a pause, then the newest.
     pending: VecDeque<Vec<FrameRef>>,
-    /// How many of them came during a pause and must not be replaced.
+    /// Number of them that came during a pause and must not be replaced.
     protected: usize,
     /// Empty lists for reuse.
     spare: Vec<Vec<FrameRef>>,
@@ -45,7 +45,7 @@ pub(crate) struct Region {
     full: AtomicBool,
 }
 
-/// What may enter after a tick finished.
+/// Ticks that may enter after a tick has finished.
 pub(crate) enum Freed {
     /// Nothing waits.
     Nothing,
@@ -116,8 +116,8 @@ impl Region {
         room
     }
 
-    /// Admits a live source's tick, or lets it wait in place of an older one. Returns the outputs to deliver now, and those of an older
-    /// tick that was dropped.
+    /// Admits a live source's tick, or queues it in place of an older one. Returns the outputs to deliver now, and
+    /// those of an older tick that was dropped.
     pub fn admit_or_keep(&self, outputs: Vec<FrameRef>) -> (Option<Vec<FrameRef>>, Option<Vec<FrameRef>>) {
         let mut state = self.state();
         state.next_seq = Some(first_seq(&outputs).saturating_add(1));
@@ -184,7 +184,7 @@ impl Region {
         Some(outputs)
     }
 
-    /// A leaf is done with its `nth` tick (counted from 0 by that leaf).
+    /// Counts a tick that a leaf finished, its `nth` from 0, and says what may enter.
     pub fn leaf_done(&self, nth: u64) -> Freed {
         let slot = &self.remaining[nth as usize % RING];
         if slot.fetch_sub(1, Ordering::AcqRel) != 1 {
@@ -208,7 +208,7 @@ impl Region {
         }
     }
 
-    /// The ticks that waited are delivered. Returns the next one that arrived meanwhile, if any.
+    /// Marks the ticks that waited as delivered. Returns the next one that arrived meanwhile, if any.
     pub fn handed_over(&self) -> Option<Vec<FrameRef>> {
         let mut state = self.state();
         let next = self.next_pending(&mut state);
@@ -216,13 +216,13 @@ impl Region {
         next
     }
 
-    /// Admits nothing from now on.
+    /// Admits nothing until [`Self::resume`].
     pub fn pause(&self) {
         self.state().paused = true;
     }
 
-    /// Admits nothing from tick `seq` of its source on. `made` is the source's next tick. If `seq` has passed, returns the first tick that
-    /// could still be held back.
+    /// Admits nothing from tick `seq` of its source on. `made` is the source's next tick. If `seq` has passed, returns
+    /// the first tick that could still be held back.
     pub fn pause_before(&self, seq: u64, made: u64) -> Result<(), u64> {
         let mut state = self.state();
         let next = state.pending.front().map_or(made, |p| first_seq(p));
@@ -245,8 +245,9 @@ impl Region {
         self.state().paused
     }
 
-    /// The first tick of a live source that may still enter: the first that waits, or the one after the last that came. A tick that was made may
-    /// be on its way to the region. `None` before the first tick came, and of a source that makes a tick only where there is room.
+    /// The first tick of a live source that may still enter: the first that waits, or the one after the last that
+    /// arrived. A tick that was made may be on its way to the region. `None` before the first tick came, and of a
+    /// source that makes a tick only where there is room.
     pub fn next_seq(&self) -> Option<u64> {
         let state = self.state();
         state.pending.front().map(|p| first_seq(p)).or(state.next_seq)

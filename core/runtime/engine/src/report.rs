@@ -1,4 +1,4 @@
-//! The report of a run, as written by `--report` (a contract: see the README).
+//! The report of a run, as written by `--report`. Its format is a contract: see the README.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::Ordering;
@@ -28,17 +28,18 @@ pub struct Report {
     pub fps: f64,
     /// Per node.
     pub nodes: BTreeMap<String, NodeReport>,
-    /// Per sink: ages of what it finished.
+    /// Per sink: ages of its finished work.
     pub paths: BTreeMap<String, PathReport>,
     /// Per group of isolated nodes.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub groups: BTreeMap<String, GroupReport>,
-    /// Nodes that lost data for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
+    /// Nodes that lost data for good, with the reason: a full disk, a file that could not be completed. Such a run has
+    /// failed.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub stopped: BTreeMap<String, String>,
     /// Heap allocations per frame in steady state, null when not counted.
     pub allocations_per_frame: Option<f64>,
-    /// Where it ran.
+    /// The machine of the run.
     pub machine: Machine,
 }
 
@@ -51,17 +52,19 @@ pub struct NodeReport {
     pub p50_ms: f64,
     /// 99th percentile of the time of a call.
     pub p99_ms: f64,
-    /// The longest call.
+    /// Maximum time of a call.
     pub max_ms: f64,
     /// Ticks and packets dropped where they would have entered here.
     pub dropped: u64,
-    /// For a node that writes files: ticks of its source that it lacks, because they were dropped where they would have entered its region.
+    /// For a node that writes files: ticks of its source that are missing from the files, because they were dropped at
+    /// the head of its region.
     #[serde(skip_serializing_if = "is_zero")]
     pub lacking: u64,
     /// Packets dropped per edge because its queue was full; edges without drops are not listed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dropped_on: Vec<WireDrops>,
-    /// Ticks per edge at which the packet was older than `max_age_ms` and counted as absent; edges without any are not listed.
+    /// Ticks per edge at which the packet was older than `max_age_ms` and counted as absent; edges without any are not
+    /// listed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub too_old_on: Vec<WireTooOld>,
     /// Ticks not processed because a required input was empty.
@@ -72,7 +75,7 @@ pub struct NodeReport {
     pub restarts: u64,
     /// Calls over the node's budget.
     pub over_budget: u64,
-    /// Longest time from a fault to the end of the next successful call.
+    /// Maximum time from a fault to the end of the next successful call.
     pub recovery_max_ms: f64,
     /// Frames copied because the node wrote to a shared one.
     pub copies: u64,
@@ -83,7 +86,7 @@ pub struct NodeReport {
     /// For a source: ticks that it made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub made: Option<u64>,
-    /// Required inputs that never got a packet, as `node.port` of their producer.
+    /// Required inputs that never received a packet, as `node.port` of their producer.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub never_got: Vec<String>,
     /// Whether a replay skips the node because it acts on the world.
@@ -116,20 +119,20 @@ pub struct WireTooOld {
     pub ticks: u64,
 }
 
-/// Age of what a sink finished: the time from the arrival of its light to the end of the sink's work.
+/// Age of a sink's finished work: the time from the arrival of its light to the end of the sink's work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PathReport {
     /// Median age of the oldest light, whatever edges it came by.
     pub age_p50_ms: f64,
     /// 99th percentile.
     pub age_p99_ms: f64,
-    /// The longest.
+    /// Maximum.
     pub age_max_ms: f64,
     /// Median age of the newest light.
     pub newest_age_p50_ms: f64,
     /// 99th percentile.
     pub newest_age_p99_ms: f64,
-    /// The longest.
+    /// Maximum.
     pub newest_age_max_ms: f64,
 }
 
@@ -155,7 +158,7 @@ fn ms(ns: u64) -> f64 {
 }
 
 impl Machine {
-    /// This machine.
+    /// Describes this machine.
     pub fn here(threads: usize) -> Self {
         let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let cpu = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(':'));
@@ -267,7 +270,7 @@ fn starved(plan: &Plan) -> Vec<(String, String)> {
     found
 }
 
-/// What each node did in a stretch of time, for displays; [`Engine::window`](crate::Engine::window) moves it on.
+/// Activity of each node in a time window, for displays; [`Engine::window`](crate::Engine::window) advances it.
 #[derive(Default)]
 pub struct Window {
     at_ns: u64,
@@ -318,7 +321,7 @@ pub struct QueueWindow {
     pub index: usize,
     /// Packets that wait now.
     pub waiting: usize,
-    /// Longest queue since the previous call.
+    /// Maximum queue length since the previous call.
     pub most: usize,
     /// Packets dropped so far because the queue was full.
     pub dropped: u64,
@@ -367,7 +370,7 @@ fn closes(shared: &Shared, runtime: &NodeRuntime) -> bool {
     !runtime.source && decider.is_some_and(|decider| decider.closes(runtime.source, runtime.side_effects))
 }
 
-/// Something of each edge of a node that has it, in the order of ports and list positions.
+/// The values that `of` returns for the edges of a node, in the order of ports and list positions.
 fn per_wire<T>(runtime: &NodeRuntime, of: impl Fn(String, usize, &Slot) -> Option<T>) -> Vec<T> {
     let ranges = runtime.ranges();
     let join = lock(&runtime.join);

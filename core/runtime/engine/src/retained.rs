@@ -1,5 +1,5 @@
-//! Frames that nodes retain between calls. They are counted per instance, so that a leak is found and ended, and so that no node releases
-//! a frame that it does not hold.
+//! Frames that nodes retain between calls. They are counted per instance, so that leaks are found and stopped, and no
+//! node can release a frame that it does not hold.
 
 use std::cell::Cell;
 use std::ffi::c_void;
@@ -18,15 +18,16 @@ thread_local! {
     static KEEPER: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
 }
 
-/// Every instance that ever retained a frame, to find the owner of a buffer that is released outside its instance's calls.
+/// Every instance that ever retained a frame, to find the owner of a buffer that is released outside its instance's
+/// calls.
 static KEEPERS: Mutex<Vec<Weak<Inner>>> = Mutex::new(Vec::new());
 /// Buffers that plugins retain outside every call, for example on their own threads.
 static OUTSIDE: Mutex<Vec<(Plugin, BufferId)>> = Mutex::new(Vec::new());
 /// Requests refused outside every call.
 static REFUSED_OUTSIDE: AtomicU64 = AtomicU64::new(0);
 
-/// Frames that one instance, or all plugins outside every call, may retain at any moment. What an instance may keep between calls is
-/// less, and checked after each.
+/// Frames that one instance, or all plugins outside every call, may retain at any moment. The limit between calls is
+/// lower and is checked after each call.
 const MAX_AT_ONCE: usize = 4096;
 
 /// A plugin: the address where its file is mapped, 0 if unknown.
@@ -47,7 +48,7 @@ struct Inner {
     ids: Mutex<Vec<BufferId>>,
     /// The node that the instance belongs to.
     who: OnceLock<Arc<NodeNames>>,
-    /// An address of the plugin.
+    /// Address inside the plugin's mapped file.
     address: usize,
     /// Refused requests since [`RetainedFrames::take_refused`] was called last.
     refused: AtomicU32,
@@ -151,7 +152,8 @@ pub(crate) unsafe fn within(scope: Scope, part: impl FnOnce()) -> bool {
     ATTENTION.replace(before)
 }
 
-/// Whether a node retained a frame on this thread, or was refused one, since the last call. Only then is there anything to check.
+/// Whether a node retained a frame on this thread, or was refused one, since the last call. Otherwise there is nothing
+/// to check.
 #[inline]
 pub(crate) fn attention() -> bool {
     ATTENTION.replace(false)
@@ -196,8 +198,8 @@ fn list(inner: &Inner) {
     keepers.push(weak);
 }
 
-/// A node, or a thread of `plugin`, retains a buffer. Refused if nobody holds the buffer, because it may belong to somebody else next, and beyond
-/// [`MAX_AT_ONCE`], because a node that does nothing else would use up memory and overflow the count of the buffer.
+/// A node, or a thread of `plugin`, retains a buffer. Refused if no one holds the buffer, because it may get another
+/// owner, and beyond [`MAX_AT_ONCE`], because a node could otherwise exhaust memory and overflow the buffer's count.
 pub(crate) fn retain(plugin: Plugin, id: BufferId) {
     let inner = keeper();
     let held = inner.map_or_else(|| lock(&OUTSIDE).len(), |inner| inner.count.load(Ordering::Relaxed));
@@ -215,8 +217,8 @@ pub(crate) fn retain(plugin: Plugin, id: BufferId) {
     set_attention();
 }
 
-/// A node, or a thread of `plugin`, releases a buffer: its own, or one that another instance of the same plugin retains. Any other is
-/// refused.
+/// A node, or a thread of `plugin`, releases a buffer: its own, or one that another instance of the same plugin
+/// retains. Other buffers are refused.
 pub(crate) fn release(plugin: Plugin, id: BufferId) {
     let inner = keeper();
     if inner.is_some_and(|inner| inner.take(id)) || take_elsewhere(inner.map_or(plugin, Inner::plugin), id) {
@@ -226,8 +228,8 @@ pub(crate) fn release(plugin: Plugin, id: BufferId) {
     }
 }
 
-/// Removes a buffer from the list of an instance of a plugin, or from what the plugin retains outside every call; `false` if it is in none.
-/// An unknown plugin matches all.
+/// Removes a buffer from the list of an instance of a plugin, or from what the plugin retains outside every call;
+/// `false` if it is in none. An unknown plugin matches all.
 #[cold]
 fn take_elsewhere(plugin: Plugin, id: BufferId) -> bool {
     let same = |other: Plugin| plugin == 0 || other == 0 || plugin == other;

@@ -1,4 +1,4 @@
-//! What all calls of an engine share: the host's functions, logs, and who records or decides the run.
+//! State shared by all calls of an engine: the host's functions, logs, observers and deciders.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -17,10 +17,10 @@ use crate::observe::Observer;
 use crate::trace::Tracer;
 use crate::vet::Vet;
 
-/// Longest wait for the reader of the log, and for the fault log.
+/// Maximum wait for the reader of the log, and for the fault log.
 const MAX_FLUSH: Duration = Duration::from_secs(1);
 
-/// What all calls of an engine share.
+/// State shared by all calls of an engine.
 pub(crate) struct RunContext {
     pub host: abi::Host,
     pub log: Log,
@@ -43,7 +43,7 @@ pub(crate) struct RunContext {
     pub claims: Arc<Claims>,
     /// Groups of isolated nodes.
     pub groups: Groups,
-    /// Decides which nodes are tried in a process of their own before they open.
+    /// Decides which nodes are opened on trial in a separate process first.
     pub vet: Option<Arc<dyn Vet>>,
     /// Nodes that lost data for good, with the reason.
     pub stopped: Mutex<BTreeMap<String, String>>,
@@ -74,7 +74,7 @@ impl RunContext {
         }
     }
 
-    /// Waits until log lines and faults are passed on, but no longer than [`MAX_FLUSH`] for a reader that does not read.
+    /// Waits until log lines and faults are passed on, at most [`MAX_FLUSH`] for a reader that is stuck.
     pub fn flush(&self) {
         self.log.flush(MAX_FLUSH);
         self.faults.flush(MAX_FLUSH);

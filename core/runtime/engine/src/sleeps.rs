@@ -2,12 +2,12 @@
 
 use std::collections::VecDeque;
 
-/// By how much a thread that waits may be late, in ns, before the missing time counts as asleep.
+/// Maximum lateness of a waiting thread, ns; a larger one counts as sleep.
 const MAX_LATE_NS: u64 = 20_000_000;
-/// Sleeps that are remembered.
+/// Number of sleeps that are kept.
 const MAX_SLEEPS: usize = 64;
 
-/// Newest sleeps of the process, noticed by a thread that waits over and over.
+/// Newest sleeps of the process, noticed by a thread that waits repeatedly.
 #[derive(Debug, Default)]
 pub(crate) struct Sleeps {
     /// Start and end of each in ns, oldest first.
@@ -22,7 +22,7 @@ impl Sleeps {
         self.waits_since_ns = now_ns;
     }
 
-    /// The thread wakes up from a wait of at most `limit_ns`. Returns how much longer it took, if that was a sleep, else 0.
+    /// The thread wakes up from a wait of at most `limit_ns`. Returns the excess in ns if it was a sleep, else 0.
     pub fn end_wait(&mut self, now_ns: u64, limit_ns: u64) -> u64 {
         let due_ns = self.waits_since_ns.saturating_add(limit_ns);
         let late_ns = now_ns.saturating_sub(due_ns);

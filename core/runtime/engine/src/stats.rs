@@ -8,7 +8,7 @@ const SUB_BITS: u32 = 5;
 const OCTAVES: u32 = 40;
 const BUCKETS: usize = ((OCTAVES - SUB_BITS) as usize + 1) << SUB_BITS;
 
-/// A histogram of times with about 3 % resolution.
+/// A histogram of times in ns with about 3 % resolution.
 pub struct Histogram {
     max_ns: AtomicU64,
     counts: [AtomicU64; BUCKETS],
@@ -48,7 +48,7 @@ impl Histogram {
         self.raise(ns);
     }
 
-    /// Counts a time that is known not to be the longest.
+    /// Counts a time that is known not to be the maximum.
     #[inline]
     pub(crate) fn count_one(&self, ns: u64) {
         let slot = &self.counts[bucket(ns)];
@@ -68,17 +68,17 @@ impl Histogram {
         self.counts.iter().map(|count| count.load(Ordering::Relaxed)).sum()
     }
 
-    /// The longest time in ns.
+    /// The maximum in ns.
     pub fn max_ns(&self) -> u64 {
         self.max_ns.load(Ordering::Relaxed)
     }
 
-    /// Counts per bucket, for [`quantile_ns`] of what was counted since.
+    /// Counts per bucket, for [`Self::quantile_between_ns`] of the times counted since.
     pub fn counts(&self) -> Vec<u64> {
         self.counts.iter().map(|c| c.load(Ordering::Relaxed)).collect()
     }
 
-    /// The time that a share `q` (0..1) of the counts does not exceed, in ns; 0 when nothing was counted.
+    /// The `q` quantile (0..1) of the counted times, in ns; 0 when nothing was counted.
     pub fn quantile_ns(&self, q: f64) -> u64 {
         let counts = self.counts.each_ref().map(|count| count.load(Ordering::Relaxed));
         let total: u64 = counts.iter().sum();

@@ -18,7 +18,7 @@ pub fn table(rows: &[Vec<String>]) -> String {
     out
 }
 
-/// A number of a table; a dash where there is none.
+/// Formats a number of a table; a dash if it is not finite.
 pub fn number(value: f64, places: usize) -> String {
     if value.is_finite() { format!("{value:.places$}") } else { "-".to_owned() }
 }

@@ -28,16 +28,16 @@ const MAX_BEHIND: usize = 64;
 /// Capture time between ticks of a source that sets none.
 const DEFAULT_FRAME_NS: i64 = 33_333_333;
 
-/// A step back in capture time of at least this length is a recording that restarts, not a fault.
+/// A step back in capture time of at least this length counts as a recording that restarts, not as a fault.
 const REWIND_NS: i64 = 1_000_000_000;
 
 /// Accepted capture times: 146 years to either side, so that the difference of any two fits an `i64`.
 const CAPTURE_NS: Range<i64> = -(1 << 62)..1 << 62;
 
-/// Longest time that a source's thread runs other nodes between two of its ticks, and the largest share of the time between them.
+/// Maximum time that a source's thread runs other nodes between two of its ticks.
 const MAX_WALK_NS: u64 = 1_000_000;
 const WALK_SHARE: u64 = 8;
-/// The same for the thread of a node that may block: about the time to wake another thread.
+/// As [`MAX_WALK_NS`], for the thread of a node that may block: about the time to wake another thread.
 const SHORT_WALK_NS: u64 = 100_000;
 
 /// State of a source's thread between two ticks.
@@ -89,7 +89,7 @@ impl Shared {
         lock(&self.own_threads).retain(|_, thread| !thread.handle.is_finished());
     }
 
-    /// Runs until the node finishes or leaves. Returns whether the watchdog abandoned this thread.
+    /// Runs until the node finishes or is removed. Returns whether the watchdog abandoned this thread.
     fn blocking_thread(&self, node: usize, runtime: &NodeRuntime) -> bool {
         let mut scratch = Scratch::default();
         // Real-time priority is only for this node.
@@ -109,7 +109,7 @@ impl Shared {
         }
     }
 
-    /// Runs until the node finishes or leaves. Returns whether the watchdog abandoned this thread.
+    /// Runs until the node finishes or is removed. Returns whether the watchdog abandoned this thread.
     fn source_thread(&self, node: usize, runtime: &Arc<NodeRuntime>) -> bool {
         let mut scratch = Scratch::default();
         let mut pace = Pace { last_capture_ns: runtime.ticks.last_capture_ns(), ..Pace::default() };
@@ -154,7 +154,8 @@ impl Shared {
         false
     }
 
-    /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns whether it waited.
+    /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns
+    /// whether it waited.
     fn wait_for_room(&self, node: usize, runtime: &NodeRuntime) -> bool {
         if self.paced && !self.context.batch {
             return false;
@@ -248,7 +249,7 @@ impl Shared {
         self.admit(node, runtime, &region, outputs, allowance_ns, scratch)
     }
 
-    /// The call of a source made no tick: it ended, failed or was skipped.
+    /// Handles a call of a source that made no tick because it ended, failed or was skipped.
     #[cold]
     fn after_no_tick(
         &self,
@@ -277,7 +278,8 @@ impl Shared {
         Step::Next
     }
 
-    /// Admits a tick of a source to its region, now or when there is room, and runs what follows for at most `allowance_ns`.
+    /// Admits a tick of a source to its region, now or when there is room, and runs what follows for at most
+    /// `allowance_ns`.
     fn admit(
         &self,
         node: usize,
@@ -308,7 +310,7 @@ impl Shared {
         Step::Next
     }
 
-    /// A tick of a source was dropped: the nodes of its region that write files lack it.
+    /// Counts a dropped tick of a source at the nodes of its region that write files.
     #[cold]
     fn count_lacking(&self, source: usize, seq: u64) {
         let plan = self.plan.load();
@@ -388,8 +390,8 @@ impl Shared {
         self.wait_until(runtime, due, now_ns)
     }
 
-    /// After a live source's call at `start_ns` that led to no tick: waits until its next frame is due. Without frame memory, for instance, a
-    /// source would otherwise be called over and over.
+    /// After a live source's call at `start_ns` that led to no tick: waits until its next frame is due. Without frame
+    /// memory, for instance, a source would otherwise be called in a busy loop.
     fn wait_for_next_frame(&self, runtime: &NodeRuntime, start_ns: u64) {
         if self.paced && !self.context.batch {
             let frame_ns = self.frame_ns.load(Ordering::Relaxed).min(DEFAULT_FRAME_NS as u64);
@@ -397,7 +399,7 @@ impl Shared {
         }
     }
 
-    /// Waits until `due_ns`, or until the source is to end or to leave. Returns the time.
+    /// Waits until `due_ns`, or until the source has to end or is removed. Returns the time.
     fn wait_until(&self, runtime: &NodeRuntime, due_ns: u64, mut now_ns: u64) -> u64 {
         while now_ns < due_ns && !self.is_stopping() && !runtime.runner.leave.is_requested() {
             runtime.runner.park_at_most(Some(Duration::from_nanos(due_ns - now_ns)));
@@ -414,7 +416,7 @@ pub(crate) fn capture_fits(capture_ns: i64, last_ns: Option<i64>) -> bool {
     CAPTURE_NS.contains(&capture_ns) && !last_ns.is_some_and(back)
 }
 
-/// Why [`capture_fits`] is false.
+/// The reason why [`capture_fits`] is false.
 #[cold]
 pub(crate) fn capture_words(capture_ns: i64, last_ns: Option<i64>) -> String {
     let (range, ms) = (CAPTURE_NS, |ns: i64| ns as f64 / 1e6);

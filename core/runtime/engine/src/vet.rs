@@ -1,4 +1,5 @@
-//! Which nodes are tried in a process of their own before they open in this one: reading a foreign file can crash the reader.
+//! Which nodes are opened on trial in a separate process before they open in this one, because a foreign file can crash
+//! its reader.
 
 use std::time::Duration;
 
@@ -6,7 +7,7 @@ use panoscope_graph::ParamValue;
 
 use crate::isolation::GroupError;
 
-/// A node that is about to open: at the start of a run, in a change, with new values, or again after a fault.
+/// A node that is about to open: at the start of a run, in a change, with new values, or after a fault.
 #[derive(Clone, Debug)]
 pub struct Opening<'a> {
     /// Name of the node.
@@ -22,14 +23,14 @@ pub struct Opening<'a> {
 pub struct TrialLimits {
     /// Maximum number of bytes of private memory of the process.
     pub memory_bytes: u64,
-    /// Longest time for starting the process and opening the node there.
+    /// Maximum time for starting the process and opening the node there.
     pub time: Duration,
 }
 
-/// Why a node did not open on trial.
+/// A node did not open on trial.
 #[derive(Debug, thiserror::Error)]
 pub enum TrialError {
-    /// It has no process.
+    /// The trial has no process.
     #[error(transparent)]
     Group(#[from] GroupError),
     /// The system gave no thread.
@@ -46,10 +47,10 @@ pub enum TrialError {
     },
 }
 
-/// Why a node must not open in the process of the graph.
+/// The reason for which a node must not open in the process of the graph.
 #[derive(Debug, thiserror::Error)]
 pub enum VetError {
-    /// Its trial failed with a message that names what is wrong.
+    /// Its trial failed with a message that names the mistake.
     #[error(transparent)]
     Trial(#[from] TrialError),
     /// Its trial failed because of these files.
@@ -57,17 +58,18 @@ pub enum VetError {
     Files {
         /// The files.
         files: Vec<String>,
-        /// How the trial failed.
+        /// Failure of the trial.
         cause: TrialError,
     },
 }
 
-/// Opens the node of an [`Opening`] in a process of its own within limits, closes it there and ends the process.
+/// Opens the node of an [`Opening`] in a separate process within limits, closes it there and ends the process.
 pub type TrialFn<'a> = dyn FnMut(&TrialLimits) -> Result<(), TrialError> + 'a;
 
-/// Decides which nodes are tried. See [`crate::Plugins::vet`].
+/// Decides which nodes are opened on trial. See [`crate::Plugins::vet`].
 pub trait Vet: Send + Sync {
-    /// Returns when the node may open. Called off the hot path, on the thread that opens the node and within the time limit of opening.
+    /// Returns `Ok` when the node may open. Called off the hot path, on the thread that opens the node and within the
+    /// time limit of opening.
     ///
     /// # Errors
     /// The node must not open here.

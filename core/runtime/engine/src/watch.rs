@@ -1,5 +1,5 @@
-//! The watchdog: detects calls that do not return, abandons them with their thread, and starts restarts of failed nodes. It calls no
-//! plugin itself.
+//! The watchdog: detects calls that do not return, abandons them with their thread, and starts restarts of failed
+//! nodes. It calls no plugin itself.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -24,15 +24,15 @@ use crate::sleeps::Sleeps;
 use crate::stats::bump;
 use crate::sync::lock;
 
-/// Stuck calls of one node at a time; with one more the node is bypassed.
+/// Stuck calls of one node at a time; with more the node is bypassed.
 const MAX_STUCK: u32 = 3;
 /// Grace time after a node's budget until it counts as hung: two frames, within these limits.
 const MIN_GRACE_NS: u64 = 20_000_000;
 const MAX_GRACE_NS: u64 = 66_000_000;
-/// Shorter sleeps of the process are not logged: a busy machine looks like that.
+/// Minimum sleep of the process that is logged; shorter ones happen on any busy machine.
 const MIN_LOGGED_SLEEP_NS: u64 = 1_000_000_000;
-/// In a replay a call counts as hung only after this many times its budget: the machine may be slower than that of the recording, and what a hang
-/// changes is in the recording.
+/// Budgets after which a call counts as hung in a replay: the machine may be slower than that of the recording, and the
+/// effects of recorded hangs are in the recording.
 const REPLAY_BUDGETS: u64 = 20;
 
 impl Shared {
@@ -68,7 +68,7 @@ impl Shared {
                 if !self.context.ignores_wall_clock()
                     && let Err(cause) = self.pool.relieve(now_ns)
                 {
-                    self.fail(format!("no thread could be started beside those that hang: {cause}"));
+                    self.fail(format!("no thread could be started to replace those that hang: {cause}"));
                 }
                 let before = std::mem::replace(&mut refused, retained::refused_outside());
                 if refused != before {
@@ -144,7 +144,8 @@ impl Shared {
         }
     }
 
-    /// Abandons a call that does not return: its tick continues with empty outputs, and instance and thread are replaced.
+    /// Abandons a call that does not return: its tick continues with empty outputs, and instance and thread are
+    /// replaced.
     #[cold]
     fn abandon(
         &self,
@@ -214,7 +215,7 @@ impl Shared {
             replaced = replaced.and(me.start_thread(own.node, &own.runtime));
         }
         if let Err(cause) = replaced {
-            self.fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
+            self.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
         }
         if again {
             self.dispatch(plan, head);
@@ -257,7 +258,8 @@ impl Shared {
         std::thread::Builder::new().name(name.chars().take(15).collect()).spawn(work)
     }
 
-    /// Wraps the work of a thread of the host. A panic there is a bug of the host: it is reported with the thread's name and ends the run.
+    /// Wraps the work of a thread of the host. A panic there is a bug in the host: it is reported with the thread's
+    /// name and ends the run.
     pub fn watched(self: Arc<Self>, name: String, work: impl FnOnce() + Send + 'static) -> impl FnOnce() + Send {
         move || {
             if let Err(payload) = catch_unwind(AssertUnwindSafe(work)) {
@@ -266,7 +268,8 @@ impl Shared {
         }
     }
 
-    /// A thread of the host panicked. The run ends without waiting for work that this thread may have left undone.
+    /// Handles a panic of a thread of the host. The run ends without waiting for work that this thread may have left
+    /// undone.
     #[cold]
     pub fn thread_panicked(&self, name: &str, words: &str) {
         let words = format!("thread `{name}` of the engine panicked: {words}");

@@ -1,4 +1,5 @@
-//! The fault campaign: seeded cases of a node that goes wrong in a running graph. Each fault must be seen, named and contained.
+//! The fault campaign: seeded cases of a node that goes wrong in a running graph. Each fault must be seen, named and
+//! contained.
 //!
 //! `PANOSCOPE_FAULT_CASES` sets how many cases are run (200 without it), `PANOSCOPE_FAULT_SEED` which.
 
@@ -15,7 +16,8 @@ use panoscope_graph::{GraphText, check};
 use panoscope_host::loader::Loader;
 
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Time without a budget after which a call counts as hung: that of a program, whatever the environment of the tests says.
+/// Time without a budget after which a call counts as hung: that of a program, whatever the environment of the tests
+/// says.
 const HANG: Duration = Duration::from_secs(2);
 /// Attempts of a case whose node was left out for being slow before its fault came.
 const ATTEMPTS: usize = 5;

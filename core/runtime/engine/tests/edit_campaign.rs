@@ -1,5 +1,6 @@
-//! The campaign of edits: seeded changes of nodes that read by every kind of edge from slow and fast producers, in regions of their own, in
-//! processes of their own. The engine never panics, and every packet is used or counted as dropped by its edge.
+//! The campaign of edits: seeded changes of nodes that read by every kind of edge from slow and fast producers, in
+//! regions of their own, in processes of their own. The engine never panics, and every packet is used or counted as
+//! dropped by its edge.
 //!
 //! `PANOSCOPE_EDIT_CASES` sets how many cases are run (12 without it), `PANOSCOPE_EDIT_SEED` which.
 
@@ -44,7 +45,8 @@ impl Reader {
     }
 }
 
-/// The graph of a case. Sources `a` and `b` run at rates of their own; `slow` and `quick` read `b` and `a` by exact edges.
+/// The graph of a case. Sources `a` and `b` run at rates of their own; `slow` and `quick` read `b` and `a` by exact
+/// edges.
 struct Case {
     rates_hz: [f64; 2],
     /// Time of a call of `slow` in ms.

@@ -1,4 +1,5 @@
-//! How long a call may take: budgets in both modes, at the end of a run, and while the machine sleeps. What a call may write.
+//! How long a call may take: budgets in both modes, at the end of a run, and while the machine sleeps. What a call may
+//! write.
 
 use std::process::Command;
 use std::time::{Duration, Instant};

@@ -1,4 +1,5 @@
-//! Arguments of a graph: declared in `[args]`, given on the command line, used as `{ arg = "name" }` wherever a value may stand.
+//! Arguments of a graph: declared in `[args]`, given on the command line, used as `{ arg = "name" }` wherever a value
+//! may stand.
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::nearest::{list, nearest};
@@ -9,8 +10,9 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Long options of the commands that run, check and show graphs, `-` written as `_`: no argument may have such a name. A test of the command keeps it
-/// complete. Options of commands that measure win over an argument of their name, which then takes `--graph-arg NAME=VALUE`.
+/// Long options of the commands that run, check and show graphs, `-` written as `_`: no argument may have such a name.
+/// A test of the command keeps it complete. Options of commands that measure take precedence over an argument of the
+/// same name, which then needs `--graph-arg NAME=VALUE`.
 pub const RESERVED_ARGS: &[&str] = &[
     "act",
     "after",
@@ -117,7 +119,7 @@ impl ArgKind {
         Self::WORDS.iter().find(|(_, kind)| *kind == self).map_or("", |(word, _)| word)
     }
 
-    /// The type in words for messages.
+    /// Description of the type, for messages.
     fn expected(self) -> &'static str {
         match self {
             Self::Source => "a source in quotes (camera, file, folder, address or pipeline)",
@@ -156,7 +158,7 @@ pub struct Arg {
 }
 
 impl Arg {
-    /// Word for its value in a help text, such as `SOURCE`.
+    /// Placeholder for its value in help text, such as `SOURCE`.
     pub fn value_name(&self) -> String {
         if self.kind == ArgKind::Choice { self.choices.join("|") } else { self.kind.word().to_uppercase() }
     }
@@ -218,7 +220,7 @@ struct Bound {
 pub(crate) struct Bindings {
     declared: Vec<ArgText>,
     bound: HashMap<String, Bound>,
-    /// Names without a value, each with what is said of it when the graph is to run.
+    /// Names without a value, each with the diagnostic for a graph that is to run.
     pub(crate) missing: Vec<(String, Diagnostic)>,
     pub(crate) uses: Vec<ArgUse>,
     pub(crate) diagnostics: Diagnostics,
@@ -229,7 +231,8 @@ fn same_name(a: &str, b: &str) -> bool {
 }
 
 impl Bindings {
-    /// Takes the declarations of the graph file and of its overlays, and the values of the command line. `file_of` opens `file` arguments.
+    /// Takes the declarations of the graph file and of its overlays, and the values of the command line. `file_of`
+    /// opens `file` arguments.
     pub(crate) fn new(
         sources: &mut Sources,
         graph: Vec<ArgText>,
@@ -300,7 +303,7 @@ impl Bindings {
         this
     }
 
-    /// Another default, or another argument, of an overlay.
+    /// Applies a default or an argument of an overlay.
     fn overlay(&mut self, sources: &Sources, over: ArgText) {
         match self.declared.iter_mut().find(|a| same_name(&a.name.value, &over.name.value)) {
             Some(arg) if over.kind.is_none() && !over.kind_broken => {
@@ -321,7 +324,7 @@ impl Bindings {
         }
     }
 
-    /// A value of the command line.
+    /// Applies a value of the command line.
     fn given(&mut self, sources: &mut Sources, name: &str, text: &str) {
         let option = format!("--{} ", name.replace('_', "-"));
         let index = sources.add(Source::new(COMMAND_LINE.to_owned(), format!("{option}{text}"), PathBuf::new()));
@@ -420,7 +423,7 @@ fn shown(arg: &ArgText) -> Option<Arg> {
     })
 }
 
-/// `{ arg = "name" }` in a part: parts have parameters instead.
+/// Refuses `{ arg = "name" }` in a part: parts have parameters instead.
 pub(crate) fn refuse_in_part(sources: &Sources, root: &mut Table, diagnostics: &mut Diagnostics) {
     walk(root, &mut |value, name| {
         let message = format!("a part has no arguments, so `{}` cannot be used here", name.value);
@@ -432,7 +435,8 @@ pub(crate) fn refuse_in_part(sources: &Sources, root: &mut Table, diagnostics: &
     });
 }
 
-/// Calls `replace` for every `{ arg = "name" }`. Tables that map names (`nodes`, `params`, `inputs`) are no such values, whatever their keys.
+/// Calls `replace` for every `{ arg = "name" }`. Tables that map names (`nodes`, `params`, `inputs`) are not such
+/// values, whatever their keys.
 fn walk(root: &mut Table, replace: &mut dyn FnMut(&mut Value, Spanned<String>)) {
     for (key, value) in root {
         match (key.value.as_str(), &mut value.value) {
@@ -472,7 +476,7 @@ fn walk_value(value: &mut Value, replace: &mut dyn FnMut(&mut Value, Spanned<Str
     }
 }
 
-/// What is wrong with a value of an argument.
+/// Reason why a value of an argument is refused.
 struct Wrong {
     code: &'static str,
     message: String,
@@ -491,7 +495,7 @@ impl Wrong {
     }
 }
 
-/// Text of the command line as a value of the argument's type; what does not parse stays a text.
+/// Parses text of the command line as the argument's type; text that does not parse stays text.
 fn typed(kind: ArgKind, text: &str) -> Kind {
     let text = text.trim();
     let parsed = match kind {
@@ -513,7 +517,7 @@ fn check(kind: ArgKind, arg: &ArgText, value: &Kind) -> Result<Kind, Wrong> {
     let name = &arg.name.value;
     let wrong_type = || Wrong {
         code: "arg-type",
-        message: format!("argument `{name}` must be {}, this is {}", kind.expected(), value.found()),
+        message: format!("argument `{name}` must be {}, not {}", kind.expected(), value.found()),
         label: format!("expected {}", kind.expected()),
         help: arg.doc.clone().unwrap_or_default(),
     };
@@ -541,7 +545,7 @@ fn check(kind: ArgKind, arg: &ArgText, value: &Kind) -> Result<Kind, Wrong> {
                     let unit = if arg.unit.is_empty() { String::new() } else { format!(" {}", arg.unit) };
                     Err(Wrong {
                         code: "arg-range",
-                        message: format!("argument `{name}` is {number}{unit}, allowed are {low} to {high}{unit}"),
+                        message: format!("argument `{name}` is {number}{unit}; it must be {low} to {high}{unit}"),
                         label: format!("expected {low} to {high}{unit}"),
                         help: arg.doc.clone().unwrap_or_default(),
                     })
@@ -569,7 +573,7 @@ fn rebased(arg: &ArgText, value: Kind, from: &Path, graph_dir: &Path) -> Kind {
     }
 }
 
-/// Absolute, as a text.
+/// The absolute path as text.
 pub(crate) fn absolute(path: &Path) -> String {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).display().to_string()
 }

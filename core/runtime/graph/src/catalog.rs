@@ -1,5 +1,5 @@
-//! What plugins offer, as plain data: the graph checker, the JSON Schema, `panoscope list` and the editor all read this.
-//! The runtime fills it from loaded plugins; tests write it by hand.
+//! Catalog of the plugins, as plain data: the graph checker, the JSON Schema, `panoscope list` and the editor all read
+//! this. The runtime fills it from loaded plugins; tests write it by hand.
 
 use crate::packet::PacketType;
 use crate::param::Param;
@@ -10,23 +10,24 @@ use std::path::PathBuf;
 /// Every node type known on this machine, with the plugins that could not be used and why.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Catalog {
-    /// Names of the plugins that can be used, with or without node types of their own.
+    /// Names of the plugins that can be used, with or without node types in them.
     pub plugins: Vec<String>,
     /// Node types of all usable plugins. Two plugins may offer the same name; a graph then writes `plugin/type`.
     pub node_types: Vec<NodeType>,
     /// Plugins that were found (or named) but cannot be used. Reported at the `plugins` entry that names them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub problems: Vec<PluginProblem>,
-    /// Files and folders of the search path that another file of a plugin replaces, and folders that are not there; the plugin's name is empty
-    /// for a folder. Reported as warnings.
+    /// Files and folders of the search path that another file of a plugin replaces, and folders that are not there; the
+    /// plugin's name is empty for a folder. Reported as warnings.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub passed_over: Vec<PluginProblem>,
-    /// Node types of plugins that were found and not loaded, by name only, to find the plugin that a graph forgot to list.
+    /// Node types of plugins that were found and not loaded, by name only, to find the plugin that a graph forgot to
+    /// list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub offers: Vec<Offer>,
 }
 
-/// What a plugin that is not loaded offers.
+/// Offer of a plugin that is not loaded.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Offer {
     /// Name of the plugin.
@@ -67,7 +68,7 @@ impl Catalog {
     }
 }
 
-/// Why a plugin cannot be used: another ABI, a missing or unreadable file.
+/// A plugin that cannot be used: another ABI, a missing or unreadable file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PluginProblem {
     /// Name of the plugin as a graph would write it.
@@ -82,7 +83,7 @@ pub struct PluginProblem {
     pub help: String,
 }
 
-/// How the scheduler runs a node.
+/// Scheduling of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NodeKind {
@@ -108,10 +109,10 @@ pub struct NodeType {
     /// Documentation, first line first.
     #[serde(default)]
     pub doc: String,
-    /// How it is scheduled.
+    /// Its scheduling.
     #[serde(default)]
     pub kind: NodeKind,
-    /// Makes ticks of its own; may still have inputs.
+    /// Starts ticks; may still have inputs.
     #[serde(default)]
     pub source: bool,
     /// Owns a device, so two instances cannot be open at once.
@@ -132,10 +133,11 @@ pub struct NodeType {
     /// Folder of the files that come with its plugin; empty when it is not known.
     #[serde(default, skip_serializing_if = "is_empty_path")]
     pub shipped_dir: PathBuf,
-    /// Program that runs it, if not the one that runs the graph, such as a Python interpreter: its nodes run in a process of their own.
+    /// Program that runs it, if not the one that runs the graph, such as a Python interpreter: its nodes run in a
+    /// separate process.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub interpreter: Option<PathBuf>,
-    /// What the node itself checks about its parameters and wiring; it is not written out.
+    /// The node's own check of its parameters and wiring; not serialized.
     #[serde(skip)]
     pub validator: Option<Validator>,
 }
@@ -169,7 +171,7 @@ pub struct Port {
     /// Documentation.
     #[serde(default)]
     pub doc: String,
-    /// What flows through it.
+    /// Type of its packets.
     pub packet: PacketType,
     /// Input that may stay unconnected (`Option` in Rust). Meaningless for outputs.
     #[serde(default)]

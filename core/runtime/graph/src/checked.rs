@@ -1,4 +1,5 @@
-//! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from this.
+//! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from
+//! this.
 
 use crate::catalog::{Catalog, NodeType};
 use crate::param::ParamValue;
@@ -6,7 +7,7 @@ use crate::validate::{Wiring, port_bit};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// What happens when work arrives faster than it is done.
+/// Behaviour if work arrives faster than it is processed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
@@ -17,7 +18,7 @@ pub enum Mode {
     Batch,
 }
 
-/// What the host does when a node faults.
+/// Reaction of the host to a fault of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OnFault {
@@ -30,7 +31,7 @@ pub enum OnFault {
     Stop,
 }
 
-/// How packets of an input are matched with the other inputs of the node.
+/// Matching of an input's packets with the other inputs of the node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Align {
@@ -41,7 +42,7 @@ pub enum Align {
     Latest,
     /// Closest capture time.
     Nearest {
-        /// How far apart capture times may be, and how long to wait, in ms. More than 0.
+        /// Maximum difference of capture times, and maximum wait, in ms. More than 0.
         tolerance_ms: f64,
     },
 }
@@ -66,7 +67,7 @@ pub struct Graph {
     pub mode: Mode,
     /// Plugins the file lists, without repetitions.
     pub plugins: Vec<String>,
-    /// Those whose nodes all run in processes of their own, see [`crate::GraphText::isolated_plugins`].
+    /// Those whose nodes all run in separate processes, see [`crate::GraphText::isolated_plugins`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub isolated_plugins: Vec<String>,
     /// Nodes in file order.
@@ -75,14 +76,15 @@ pub struct Graph {
     pub edges: Vec<Edge>,
     /// Node positions such that every edge without delay goes forward; ties in file order.
     pub order: Vec<usize>,
-    /// What a surgeon may touch.
+    /// Parts that a surgeon may change.
     pub preset: Preset,
     /// The `[editor]` table as written; the graph never interprets it.
     pub editor: toml::Table,
 }
 
 impl Graph {
-    /// Isolates all nodes of some plugins, in `group` where the graph names none. No node of their groups may do what is denied.
+    /// Isolates all nodes of some plugins, in `group` where the graph names none. No node of their groups may do what
+    /// is denied.
     pub fn isolate_plugins(&mut self, plugins: &[String], group: &str, deny: Deny) {
         let mut groups = Vec::new();
         for node in self.nodes.iter_mut().filter(|node| plugins.contains(&node.plugin)) {
@@ -124,13 +126,13 @@ impl Graph {
     }
 }
 
-/// What the process of a group of isolated nodes may not do.
+/// Denied permissions of the process of a group of isolated nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Deny {
     /// Sockets of any kind.
     pub network: bool,
-    /// Files that are made, written or removed. Devices stay as they are.
+    /// Creating, writing and removing files. Devices are not affected.
     pub new_files: bool,
 }
 
@@ -143,23 +145,23 @@ impl Deny {
         *self == Self::default()
     }
 
-    /// What is denied, as a graph file says it.
+    /// Denied permission, as in a graph file.
     pub fn words(&self) -> impl Iterator<Item = &'static str> {
         let all = [(self.network, "network"), (self.new_files, "new_files")];
         all.into_iter().filter_map(|(denied, word)| denied.then_some(word))
     }
 }
 
-/// How pixels travel to another machine.
+/// Encoding of pixels for another machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Pixels {
-    /// As they are.
+    /// Uncompressed.
     #[default]
     Raw,
     /// Compressed without loss: the same bytes arrive.
     Lz4,
-    /// Colour pictures as H.264, with loss; all else as [`Self::Lz4`].
+    /// Colour images as H.264, with loss; all else as [`Self::Lz4`].
     H264,
 }
 
@@ -172,7 +174,7 @@ impl Pixels {
         Self::WORDS.into_iter().find_map(|(known, pixels)| (known == word).then_some(pixels))
     }
 
-    /// Whether other pixels may arrive than were sent.
+    /// Whether pixels may change on the way.
     pub fn is_lossy(self) -> bool {
         self == Self::H264
     }
@@ -194,9 +196,9 @@ pub struct Machine {
     pub name: String,
     /// Where it listens: `tls/HOST:PORT`, or `tcp/HOST:PORT` without encryption.
     pub address: String,
-    /// How pixels travel.
+    /// Encoding of pixels.
     pub pixels: Pixels,
-    /// It counts as lost when nothing was heard of it for this long, ms.
+    /// Silence after which the machine counts as lost, ms.
     pub timeout_ms: u32,
     /// Whether addresses without encryption may lead to another machine.
     pub plaintext: bool,
@@ -223,18 +225,18 @@ pub struct Node {
     pub plugin: String,
     /// Values in the type's declaration order, defaults filled in.
     pub params: Vec<ParamValue>,
-    /// What the host does when it faults.
+    /// Reaction of the host to its faults.
     pub on_fault: OnFault,
-    /// Time it should not exceed per tick, ms.
+    /// Time budget per tick, ms.
     pub budget_ms: Option<f64>,
-    /// It fires at most this often, Hz.
+    /// Maximum rate at which it fires, Hz.
     pub max_rate_hz: Option<f64>,
     /// Core its thread is pinned to.
     pub cpu: Option<u32>,
     /// The group in whose process it runs; `None` for the process of the graph.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub isolate: Option<String>,
-    /// What the process of that group may not do.
+    /// Denied permissions of the process of that group.
     #[serde(default, skip_serializing_if = "Deny::is_empty")]
     pub deny: Deny,
     /// The machine that the group runs on, if it is another one.
@@ -266,12 +268,12 @@ pub struct Edge {
     pub to_port: usize,
     /// Position in a list input; 0 for others.
     pub list_index: usize,
-    /// How it is matched with the consumer's other inputs.
+    /// Matching with the consumer's other inputs.
     pub align: Align,
-    /// Age of the oldest light beyond which a packet counts as absent. Not for `exact`.
+    /// Maximum age of a packet's oldest light, ms; an older packet counts as absent. Not for `exact`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_age_ms: Option<f64>,
-    /// The input only says where to look: its age does not count for what the consumer makes.
+    /// The input only guides a search: its age does not count for the consumer's outputs.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub guide: bool,
     /// Packets that may wait on the edge, at least 1; `None` leaves it to the scheduler.
@@ -300,14 +302,14 @@ pub struct Preset {
 pub struct PresetView {
     /// Node, a position in [`Graph::nodes`].
     pub node: usize,
-    /// Output, a position in the type's `outputs`. It carries something with a picture, see [`PresetView::PACKETS`].
+    /// Output, a position in the type's `outputs`. Its packets can be drawn, see [`PresetView::PACKETS`].
     pub port: usize,
-    /// Text shown beside it; the node's name when the file gives none.
+    /// Text shown next to it; the node's name when the file gives none.
     pub label: String,
 }
 
 impl PresetView {
-    /// Packets that have a picture.
+    /// Packet types that can be drawn.
     pub const PACKETS: [&str; 6] = ["image", "mask", "disparity", "depth", "confidence", "cloud"];
 }
 
@@ -320,6 +322,6 @@ pub struct Pin {
     pub param: usize,
     /// Allowed range, inside the parameter's own; `None` for parameters without numbers.
     pub range: Option<(f64, f64)>,
-    /// Text shown beside it; the parameter's name when the file gives none.
+    /// Text shown next to it; the parameter's name when the file gives none.
     pub label: String,
 }

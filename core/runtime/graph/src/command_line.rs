@@ -1,5 +1,5 @@
-//! Arguments of a graph on a command line. The options that a graph declares (`--left X`) are rewritten to one option that every program
-//! knows (`--graph-arg=left=X`) before the program parses its own.
+//! Arguments of a graph on a command line. The options that a graph declares (`--left X`) are rewritten to one option
+//! that every program knows (`--graph-arg=left=X`) before the program parses its own.
 
 use crate::args::{Arg, ArgKind};
 use crate::options::GraphOptions;
@@ -14,15 +14,16 @@ const OPTION: &str = "--graph-arg";
 /// A command line whose options of graphs were rewritten.
 #[derive(Clone, Debug, Default)]
 pub struct CommandLine {
-    /// What the program parses.
+    /// Arguments for the program's own parser.
     pub words: Vec<OsString>,
     /// The arguments of the graph for the program's help; empty when it has none.
     pub help: String,
-    /// Options that lack their value, in words.
+    /// Message about options that lack a value.
     pub problem: Option<String>,
 }
 
-/// Rewrites the words of a command line, of which the first is the program. Files are those words that end in `.toml`.
+/// Rewrites the arguments of a command line, of which the first is the program. Arguments that end in `.toml` are graph
+/// files.
 pub fn rewrite(words: Vec<OsString>) -> CommandLine {
     rewrite_except(words, &[])
 }
@@ -105,7 +106,8 @@ fn table(args: &[Arg]) -> String {
     args.iter().map(|arg| format!("      {:<width$}  {}\n", left(arg), arg.help())).collect()
 }
 
-/// What a command line gives to a graph: the files of `--with`, the values of `--graph-arg`, and `node.param=value` settings.
+/// Graph options of a command line: the files of `--with`, the values of `--graph-arg`, and `node.param=value`
+/// settings.
 pub fn options(with: &[PathBuf], graph_args: &[String], settings: &[String]) -> GraphOptions {
     let args = graph_args.iter().map(|text| split(text)).collect();
     GraphOptions { with: with.to_vec(), args, set: settings.to_vec(), ..GraphOptions::default() }

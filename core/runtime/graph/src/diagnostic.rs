@@ -5,13 +5,13 @@ use serde::Serialize;
 use std::fmt::{self, Write as _};
 use std::ops::Range;
 
-/// How bad it is.
+/// Whether a diagnostic keeps the graph from running.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// The graph cannot run.
     Error,
-    /// The graph runs, but probably not as meant.
+    /// The graph runs, but probably not as intended.
     Warning,
 }
 
@@ -29,7 +29,7 @@ pub struct Note {
     pub span: Range<usize>,
     /// The whole line.
     pub line_text: String,
-    /// What is there instead.
+    /// Text next to the underline.
     pub label: String,
     width: usize,
 }
@@ -51,9 +51,9 @@ pub struct Diagnostic {
     pub column: usize,
     /// Bytes of the underlined text in its file.
     pub span: Range<usize>,
-    /// The line it stands on.
+    /// The whole line that contains it.
     pub line_text: String,
-    /// Text beside the underline; may be empty.
+    /// Text next to the underline; may be empty.
     pub label: String,
     /// Other locations that belong to it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -114,7 +114,7 @@ impl Diagnostic {
         self.note(sources, &old, note);
     }
 
-    /// A mistake about a file as a whole.
+    /// A diagnostic about a whole file.
     pub(crate) fn file(code: &'static str, file: String, message: String, help: String) -> Self {
         Self {
             severity: Severity::Error,
@@ -295,7 +295,7 @@ impl Cut {
     }
 }
 
-/// `text` without characters that could steer a terminal.
+/// `text` without control characters of a terminal.
 fn printable(text: &str) -> String {
     text.chars().map(|c| if c.is_control() && c != '\n' { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
@@ -330,7 +330,7 @@ impl Diagnostics {
         &mut self.list[last]
     }
 
-    /// For moves of single ones before they are shown.
+    /// Mutable access, for moves before they are shown.
     pub(crate) fn iter_mut(&mut self) -> std::slice::IterMut<'_, Diagnostic> {
         self.list.iter_mut()
     }
@@ -354,7 +354,7 @@ impl Diagnostics {
         self.list.dedup();
     }
 
-    /// In order.
+    /// Diagnostics in order.
     pub fn iter(&self) -> std::slice::Iter<'_, Diagnostic> {
         self.list.iter()
     }
@@ -364,7 +364,7 @@ impl Diagnostics {
         self.list.len()
     }
 
-    /// Nothing to say.
+    /// Whether there is neither an error nor a warning.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty()
     }

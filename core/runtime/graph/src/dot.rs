@@ -4,8 +4,8 @@ use crate::catalog::{Catalog, NodeKind};
 use crate::checked::{Align, Edge, Graph};
 use std::fmt::Write as _;
 
-/// Graphviz text of a graph: nodes as records with their ports, edges labelled with what is not the default. The catalog
-/// must be the one the graph was checked against.
+/// Graphviz text of a graph: nodes as records with their ports, edges labelled with what is not the default. The
+/// catalog must be the one the graph was checked against.
 pub fn to_dot(graph: &Graph, catalog: &Catalog) -> String {
     let mut out = String::new();
     let _ = writeln!(out, "digraph {} {{", quoted(&graph.name));
@@ -28,7 +28,7 @@ pub fn to_dot(graph: &Graph, catalog: &Catalog) -> String {
     out
 }
 
-/// Writes nodes whose names begin with `prefix`; those of parts inside stand in clusters of their own.
+/// Writes nodes whose names begin with `prefix`; those of nested parts go into separate clusters.
 fn cluster(out: &mut String, graph: &Graph, catalog: &Catalog, nodes: &[usize], prefix: &str) {
     let indent = "    ".repeat(1 + prefix.matches('/').count());
     let mut parts: Vec<&str> = Vec::new();

@@ -30,7 +30,7 @@ pub struct GraphEdit {
 }
 
 impl GraphEdit {
-    /// Opens the text of a graph file. It must be TOML; it need not be a right graph.
+    /// Opens the text of a graph file. It must be TOML; it need not be a valid graph.
     pub fn parse(text: &str) -> Result<Self, EditError> {
         let document =
             text.parse().map_err(|e: toml_edit::TomlError| EditError::Syntax { message: e.message().to_owned() })?;
@@ -59,7 +59,7 @@ impl GraphEdit {
         self.drop_if_empty(id, "params")
     }
 
-    /// Sets the default of an argument, or with `None` takes it out, so that the argument is required.
+    /// Sets the default of an argument, or with `None` removes it, so that the argument is required.
     ///
     /// # Errors
     /// There is no such argument.
@@ -89,8 +89,8 @@ impl GraphEdit {
         self.drop_if_empty(id, "inputs")
     }
 
-    /// Connects one place of an input and keeps what else is said about it (`align`, `delay`). `index` names the place in a list; behind its end,
-    /// or for an input that is not there, the connection is added.
+    /// Connects one entry of an input and keeps its other settings (`align`, `delay`). `index` is its position in a
+    /// list; beyond the end, or for an absent input, the connection is added.
     pub fn connect(&mut self, id: &str, input: &str, list: bool, index: usize, from: &str) -> Result<(), EditError> {
         let Some(item) = self.table_of(id, "inputs")?.get_mut(input) else {
             if !list {
@@ -116,7 +116,8 @@ impl GraphEdit {
         }
     }
 
-    /// Disconnects one place of an input; the input goes when it was the last one. Nothing happens when there is no such place.
+    /// Disconnects one entry of an input; removes the input with its last entry. Does nothing when there is no such
+    /// entry.
     pub fn disconnect(&mut self, id: &str, input: &str, index: usize) -> Result<(), EditError> {
         if let Some(array) = self.table_of(id, "inputs")?.get_mut(input).and_then(Item::as_array_mut)
             && array.len() > 1
@@ -150,8 +151,8 @@ impl GraphEdit {
         Ok(())
     }
 
-    /// Adds nodes of another file under the names given, behind the last one. What they read of each other they read of the copies; other
-    /// connections stay as they are written.
+    /// Adds nodes of another file under the names given, behind the last one. Connections among them lead to the
+    /// copies; other connections stay as written.
     pub fn paste_nodes(&mut self, from: &GraphEdit, names: &[(String, String)]) -> Result<(), EditError> {
         for (old, new) in names {
             good_id(new)?;
@@ -227,7 +228,8 @@ impl GraphEdit {
         }
     }
 
-    /// Removes a node with its table, every connection that reads it, its pins and views in the preset and its place in the editor.
+    /// Removes a node with its table, every connection that reads it, its pins and views in the preset and its position
+    /// in the editor.
     pub fn remove_node(&mut self, id: &str) -> Result<(), EditError> {
         let nodes = self.nodes()?;
         if nodes.remove(id).is_none() {
@@ -239,7 +241,7 @@ impl GraphEdit {
         self.remove_mentions(id)
     }
 
-    /// Removes what names a node outside of its own table: connections, preset, `[part]` and `[editor]`.
+    /// Removes references to a node outside its own table: connections, preset, `[part]` and `[editor]`.
     pub(crate) fn remove_mentions(&mut self, id: &str) -> Result<(), EditError> {
         let pins = |value: &EditValue| {
             let param = value.as_inline_table().and_then(|t| t.get("param")).and_then(EditValue::as_str);
@@ -289,7 +291,7 @@ impl GraphEdit {
         self.rename_mentions(old, new)
     }
 
-    /// Gives a node another name wherever the file names it outside of its own table: connections, preset, `[part]` and `[editor]`.
+    /// Gives a node another name in all references outside its own table: connections, preset, `[part]` and `[editor]`.
     pub(crate) fn rename_mentions(&mut self, old: &str, new: &str) -> Result<(), EditError> {
         self.rename_part_targets(old, new);
         self.each_input(|inputs| {
@@ -329,7 +331,7 @@ impl GraphEdit {
         }
     }
 
-    /// Sets what stands under a key of `[editor]`, or with `None` takes it out.
+    /// Sets a key of `[editor]`, or with `None` removes it.
     pub fn set_editor(&mut self, key: &str, value: Option<&toml::Value>) {
         let root = self.document.as_table_mut();
         match value {
@@ -450,7 +452,7 @@ impl GraphEdit {
     }
 }
 
-/// Makes a connection read another output, keeping what else is said about it.
+/// Makes a connection read another output, keeping its other settings.
 fn point_at(place: &mut EditValue, from: &str) {
     match place {
         EditValue::InlineTable(table) => set(table, "from", from.into()),

@@ -3,25 +3,25 @@
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// Why a file could not be changed. The text is as before then.
+/// An edit that was refused; the text is unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EditError {
     /// The text is not TOML.
     #[error("the graph file is not TOML: {message}")]
     Syntax {
-        /// What the parser says.
+        /// Message of the parser.
         message: String,
     },
     /// No node of that name.
     #[error("there is no node `{id}`")]
     NoNode {
-        /// The name looked for.
+        /// The requested name.
         id: String,
     },
     /// No argument of that name.
     #[error("there is no argument `{name}`")]
     NoArg {
-        /// The name looked for.
+        /// The requested name.
         name: String,
     },
     /// The node belongs to a part; its entry is in the part's file.
@@ -44,7 +44,7 @@ pub enum EditError {
         /// The node.
         id: String,
     },
-    /// The part's file is used several times, and nobody agreed to change all of them.
+    /// Several parts use the file, and a change of all of them was not confirmed.
     #[error("{} is used {} times in this graph ({}): the change would apply to each", .file.display(), .users.len(), .users.join(", "))]
     SharedPart {
         /// The part's file.
@@ -94,23 +94,23 @@ pub enum EditError {
         /// The name.
         id: String,
     },
-    /// A name that no node may have.
+    /// An invalid node name.
     #[error("`{id}` cannot name a node: letters, digits, _ and - only, a letter or _ first")]
     BadId {
         /// The name.
         id: String,
     },
-    /// A part of the file is of another TOML type than it must be.
+    /// An entry of the file has the wrong TOML type.
     #[error("{place} is not {expected}")]
     Shape {
-        /// Which part, such as `nodes.wide.params`.
+        /// Path of the entry, such as `nodes.wide.params`.
         place: String,
-        /// What it must be.
+        /// Required value.
         expected: &'static str,
     },
 }
 
-/// Why a parameter has no entry in a file.
+/// A parameter without an entry in a file.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum NoHome {
     /// No node of that name.

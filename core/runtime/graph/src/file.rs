@@ -1,11 +1,11 @@
-//! One file of a graph as read, before any name in it is looked up.
+//! One graph file as parsed, before names are resolved.
 
 use crate::checked::{Align, Deny, Machine, Mode, OnFault};
 use crate::diagnostic::Diagnostics;
 use crate::value::{Spanned, Table};
 use std::ops::Range;
 
-/// What one file says.
+/// Content of one file.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FileText {
     pub(crate) name: Option<Spanned<String>>,
@@ -29,7 +29,7 @@ pub(crate) struct FileText {
     pub(crate) incomplete: bool,
 }
 
-/// What a file is to the graph.
+/// Relation of a file to the graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     Graph,
@@ -37,7 +37,8 @@ pub(crate) enum Role {
     Overlay,
 }
 
-/// The `[part]` table: what a graph may connect and set. References are `node.port` or `node.param` of the part's own nodes.
+/// The `[part]` table: what a graph may connect and set. References are `node.port` or `node.param` of the part's own
+/// nodes.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PartText {
     pub(crate) inputs: Vec<Export>,
@@ -57,7 +58,7 @@ pub(crate) struct Export {
 #[derive(Clone, Debug)]
 pub(crate) struct MachineText {
     pub(crate) name: Spanned<String>,
-    /// As it is used; the address is empty where the file gives none.
+    /// Its settings; the address is empty where the file gives none.
     pub(crate) machine: Machine,
 }
 
@@ -121,7 +122,7 @@ pub(crate) struct InputText {
     pub(crate) supply: Supply,
 }
 
-/// Where the connections of an input come from.
+/// Origin of the connections of an input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Supply {
     /// A file gives them.

@@ -1,5 +1,6 @@
-//! Optional connections, views and pins: left out where an overlay replaced the node that they name and the new one does not have what they name.
-//! Optional connections are also left out where the type of a node at one of their ends lacks the port, as after a swap of its algorithm.
+//! Optional connections, views and pins: left out where an overlay replaced the node that they name and the new one
+//! does not have what they name. Optional connections are also left out where the type of a node at one of their ends
+//! lacks the port, as after a swap of its algorithm.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -8,7 +9,7 @@ use crate::catalog::{Catalog, NodeType};
 use crate::file::{InputText, NodeText, RefText};
 use crate::text::GraphText;
 
-/// What is no longer there.
+/// Nodes and ports that overlays removed.
 struct Absent<'a> {
     text: &'a GraphText,
     catalog: &'a Catalog,
@@ -17,7 +18,8 @@ struct Absent<'a> {
 }
 
 impl Absent<'_> {
-    /// Whether the node was replaced and none of the types that it may have has `name`. An unknown type is reported elsewhere.
+    /// Whether the node was replaced and none of the types that it may have has `name`. An unknown type is reported
+    /// elsewhere.
     fn lacks(&self, id: &str, has: impl Fn(&NodeType) -> bool) -> bool {
         if self.nodes.contains(id) {
             return true;
@@ -45,7 +47,7 @@ impl Absent<'_> {
         is_optional(input) && self.only_others_have(node, |t| t.input(&input.port.value).is_some())
     }
 
-    /// Whether the type of the node lacks what another type has. What no type has is a spelling mistake.
+    /// Whether the node's type lacks a name that another type has. A name that no type has is a spelling mistake.
     fn only_others_have(&self, node: &NodeText, has: impl Fn(&NodeType) -> bool) -> bool {
         let types = node.type_name.as_ref().map_or_else(Vec::new, |name| self.catalog.find(&name.value));
         !types.is_empty()
@@ -65,7 +67,8 @@ fn is_optional(input: &InputText) -> bool {
 }
 
 impl GraphText {
-    /// The graph with its optional connections, views and pins as far as they exist. A node that loses its only connections is left out too.
+    /// The graph with its optional connections, views and pins as far as they exist. A node that loses its only
+    /// connections is left out too.
     pub(crate) fn fitted(&self, catalog: &Catalog) -> Cow<'_, Self> {
         if self.flat.replaced.is_empty() && !self.flat.nodes.iter().flat_map(|node| &node.inputs).any(is_optional) {
             return Cow::Borrowed(self);

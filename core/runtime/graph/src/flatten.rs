@@ -13,7 +13,7 @@ use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Where the value of a parameter is written.
+/// Location of a parameter's value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParamHome {
     /// The file, as diagnostics show it.
@@ -40,10 +40,10 @@ pub enum HomeEntry {
 }
 
 impl HomeEntry {
-    /// Sets the value in the text of the home's file, or with `None` takes it out.
+    /// Sets the value in the text of the home's file, or with `None` removes it.
     ///
     /// # Errors
-    /// The text cannot be edited like that.
+    /// The text cannot be edited this way.
     pub fn set(&self, edit: &mut GraphEdit, value: Option<&toml::Value>) -> Result<(), EditError> {
         match (self, value) {
             (Self::Param { node, param }, Some(value)) => edit.set_param(node, param, value),
@@ -54,8 +54,8 @@ impl HomeEntry {
 }
 
 impl GraphText {
-    /// The entry that gives the value of a parameter, or would give it: for a parameter of a part that is nowhere set, the part's entry in the
-    /// graph.
+    /// The entry that gives the value of a parameter, or would give it: for a parameter of a part that is nowhere set,
+    /// the part's entry in the graph.
     ///
     /// # Errors
     /// There is no such node, or the value comes from the command line.
@@ -109,9 +109,9 @@ impl GraphText {
         Ok(ParamHome { file, entry })
     }
 
-    /// The graph as one text that means the same, with the nodes of parts under their whole names (`[nodes."depth/match"]`), values of arguments
-    /// in place and paths of other folders made absolute. The text itself where the graph is one plain file. The catalog says which values are
-    /// paths; the graph must be right.
+    /// The graph as one text that means the same, with the nodes of parts under their whole names
+    /// (`[nodes."depth/match"]`), values of arguments in place and paths of other folders made absolute. The text
+    /// itself where the graph is one plain file. The catalog says which values are paths; the graph must be right.
     pub fn flattened(&self, catalog: &Catalog) -> Cow<'_, str> {
         if self.is_plain() { Cow::Borrowed(self.text()) } else { Cow::Owned(self.fitted(catalog).write(catalog)) }
     }

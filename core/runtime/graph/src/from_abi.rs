@@ -1,8 +1,9 @@
-//! Between the plugins' contract and the plain types of this crate: descriptors become catalog entries after every field was
-//! looked at, checked values become the snapshot that a call carries. Only with the feature `abi`.
+//! Between the plugins' contract and the plain types of this crate: descriptors become catalog entries after every
+//! field was checked, checked values become the snapshot that a call carries. Only with the feature `abi`.
 //!
-//! A descriptor may come from C, so nothing in it is trusted: pointers, lengths, texts, names and limits are checked and a
-//! error names its location, for the plugin's author. What cannot be checked is whether a non-null pointer is valid.
+//! A descriptor may come from C, so nothing in it is trusted: pointers, lengths, texts, names and limits are checked
+//! and an error names its location, for the plugin's author. What cannot be checked is whether a non-null pointer is
+//! valid.
 
 mod node_type;
 mod validator;
@@ -20,20 +21,20 @@ use crate::catalog::{NodeType, Port};
 use crate::packet::PacketType;
 use crate::param::{Param, ParamKind, ParamValue, Pick};
 
-/// Why a plugin's descriptor cannot be used.
+/// Errors of a plugin's descriptor.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum FromAbiError {
-    /// The entry function answered a null pointer.
-    #[error("`panoscope_plugin` answered a null pointer")]
+    /// The entry function returned a null pointer.
+    #[error("`panoscope_plugin` returned a null pointer")]
     NoDescriptor,
-    /// The descriptor does not open with the magic number.
-    #[error("the descriptor opens with {found:#018x} instead of PANOSCOPE_MAGIC: this is no Panoscope plugin")]
+    /// The descriptor does not begin with the magic number.
+    #[error("the descriptor opens with {found:#018x} instead of PANOSCOPE_MAGIC: this is not a Panoscope plugin")]
     Magic {
-        /// What is there instead.
+        /// Value found instead.
         found: u64,
     },
     /// Another major version of the contract.
-    #[error("the plugin was built for ABI {found}, this host has ABI {supported}: build the plugin anew")]
+    #[error("the plugin was built for ABI {found}, this host has ABI {supported}: rebuild the plugin")]
     AbiMajor {
         /// The plugin's.
         found: u32,
@@ -41,9 +42,9 @@ pub enum FromAbiError {
         supported: u32,
     },
     /// `struct_size` is too small, so fields are missing.
-    #[error("{place}: struct_size is {found}, it must be at least {needed} (sizeof the struct)")]
+    #[error("{place}: struct_size is {found}; it must be at least {needed} (sizeof the struct)")]
     StructSize {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// As stated.
         found: u32,
@@ -53,7 +54,7 @@ pub enum FromAbiError {
     /// A pointer is null or misaligned though its length is not 0.
     #[error("{place}: {field} is a {fault} pointer, its length is {len}")]
     Pointer {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
@@ -65,7 +66,7 @@ pub enum FromAbiError {
     /// A length that only damaged memory explains.
     #[error("{place}: {field} has {len} entries, more than the {limit} allowed")]
     TooLong {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
@@ -77,15 +78,15 @@ pub enum FromAbiError {
     /// A text that is not UTF-8.
     #[error("{place}: {field} is not UTF-8 text")]
     NotUtf8 {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
     },
-    /// A name that a graph file could not write.
-    #[error("{place}: `{name}` is no name: names are letters, digits and `_`, and begin with a letter")]
+    /// A name that is not valid in graph files.
+    #[error("{place}: `{name}` is not a valid name: names are letters, digits and `_`, and begin with a letter")]
     Name {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// As stated.
         name: String,
@@ -93,7 +94,7 @@ pub enum FromAbiError {
     /// Two things of the same kind share a name.
     #[error("{place}: {what} `{name}` is declared twice")]
     Duplicate {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// `node type`, `input`, `output`, `parameter`, `choice`.
         what: &'static str,
@@ -103,7 +104,7 @@ pub enum FromAbiError {
     /// A number outside its list of constants, or unknown flag bits.
     #[error("{place}: {field} is {found:#x}, which this host does not know")]
     Unknown {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// Which field.
         field: &'static str,
@@ -113,7 +114,7 @@ pub enum FromAbiError {
     /// A function that every node type needs is null.
     #[error("{place}: the function `{function}` is missing")]
     NoFunction {
-        /// Where.
+        /// Location of the error.
         place: String,
         /// `open`, `process` or `close`.
         function: &'static str,
@@ -121,9 +122,9 @@ pub enum FromAbiError {
     /// A declaration contradicts itself.
     #[error("{place}: {problem}")]
     Contradiction {
-        /// Where.
+        /// Location of the error.
         place: String,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
 }
@@ -145,8 +146,8 @@ const MAX_INT: f64 = 9_007_199_254_740_992.0;
 /// The first thing that is wrong with the descriptor.
 ///
 /// # Safety
-/// `plugin` is null or what a plugin's entry function returned: pointers in it that are neither null nor misaligned are valid
-/// for their stated length. Nothing of it is referred to by the result.
+/// `plugin` is null or what a plugin's entry function returned: pointers in it that are neither null nor misaligned are
+/// valid for their stated length. Nothing of it is referred to by the result.
 pub unsafe fn node_types(plugin: *const abi::Plugin) -> Result<Vec<NodeType>> {
     if plugin.is_null() {
         return Err(FromAbiError::NoDescriptor);
@@ -228,7 +229,7 @@ unsafe fn ports(node_place: &str, what: &'static str, ports: &[abi::Port]) -> Re
     Ok(out)
 }
 
-/// The only format of packets that are planes but no `image`.
+/// The only format of packets that are planes but not `image`.
 fn fixed_format(packet: &str) -> Option<u32> {
     match packet {
         "mask" => Some(abi::FORMAT_GRAY8),
@@ -281,7 +282,7 @@ unsafe fn params(node_place: &str, params: &[abi::Param]) -> Result<Vec<Param>> 
     Ok(out)
 }
 
-/// How a person picks the value; a path always names a file.
+/// How a user picks the value; a path always names a file.
 fn pick(place: &str, param: &abi::Param) -> Result<Pick> {
     let set = |flag: u32| param.flags & flag != 0;
     let (points, rectangles, file) = (set(abi::PARAM_POINTS), set(abi::PARAM_RECTANGLES), set(abi::PARAM_FILE));
@@ -398,7 +399,7 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
                 return contradiction("the default holds a number that is not finite".to_owned());
             }
             if (default.len() as f64) < min || default.len() as f64 > max {
-                return contradiction(format!("the default has {} numbers, allowed are {min} to {max}", default.len()));
+                return contradiction(format!("the default has {} numbers; allowed: {min} to {max}", default.len()));
             }
             let max_len = max.is_finite().then_some(max as usize);
             ParamKind::Floats { default, min_len: min.max(0.0) as usize, max_len }

@@ -1,8 +1,9 @@
 //! Graphs that come with an installation write their files outside of it.
 //!
-//! The data folder of an installation holds a file [`MARKER`]. A relative path that a node *writes*, in a graph file, part or overlay below
-//! such a folder, starts from [`output_dir`] instead of the file's folder, and loses its leading `..`: `../out/wide.mkv` is `out/wide.mkv` in
-//! the folder where the program was started. Paths that are read, and all paths of graphs elsewhere, stay relative to their file.
+//! The data folder of an installation holds a file [`MARKER`]. A relative path that a node *writes*, in a graph file,
+//! part or overlay below such a folder, starts from [`output_dir`] instead of the file's folder, and loses its leading
+//! `..`: `../out/wide.mkv` is `out/wide.mkv` in the folder where the program was started. Paths that are read, and all
+//! paths of graphs elsewhere, stay relative to their file.
 
 use std::ffi::CString;
 use std::os::unix::ffi::OsStrExt;
@@ -24,8 +25,9 @@ pub fn data_dir(folder: &Path) -> Option<PathBuf> {
     whole.ancestors().take(DEPTH).find(|dir| dir.join(MARKER).is_file()).map(Path::to_owned)
 }
 
-/// The folder that installed graphs write into: `PANOSCOPE_OUTPUT`; else the current folder; else, where that cannot be written or belongs to
-/// an installation itself, `panoscope` in the user's data folder (`XDG_DATA_HOME`, `~/.local/share`). Absolute.
+/// The folder that installed graphs write into: `PANOSCOPE_OUTPUT`; else the current folder; else, where that cannot be
+/// written or belongs to an installation itself, `panoscope` in the user's data folder (`XDG_DATA_HOME`,
+/// `~/.local/share`). Absolute.
 pub fn output_dir() -> PathBuf {
     let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let current = std::env::current_dir().unwrap_or_default();
@@ -44,19 +46,19 @@ fn choose(current: PathBuf, data_home: Option<PathBuf>) -> PathBuf {
     }
 }
 
-/// What a user is told who opens a graph file of an installation.
+/// Notice for a user who opens an installed graph file.
 pub fn notice(graph: &Path) -> Option<String> {
     let root = data_dir(graph.parent().unwrap_or(Path::new("")))?;
     let (root, output) = (root.display(), output_dir());
     Some(format!("this graph belongs to the installation in {root}; the files it writes go to {}", output.display()))
 }
 
-/// Where a written path of an installed file lies, for a relative path.
+/// Absolute path of a relative path that an installed graph writes.
 pub(crate) fn output(written: &str) -> PathBuf {
     output_dir().join(inside(Path::new(written)))
 }
 
-/// A relative path without the parts that climb out of its folder.
+/// A relative path without the leading `..` components.
 fn inside(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {

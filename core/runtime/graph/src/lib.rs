@@ -1,5 +1,5 @@
-//! Graph files: TOML text and a plain [`Catalog`] of node types become a checked [`Graph`], or [`Diagnostics`] that name
-//! every mistake of the file at once. Knows nothing of plugins, threads or frames.
+//! Graph files: TOML text and a plain [`Catalog`] of node types become a checked [`Graph`], or [`Diagnostics`] that
+//! name every mistake of the file at once. Knows nothing of plugins, threads or frames.
 //!
 //! ```
 //! use panoscope_graph::{Catalog, GraphText, check};

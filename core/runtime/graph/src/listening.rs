@@ -1,7 +1,8 @@
 //! Nodes that listen for other programs, and who can reach them.
 //!
-//! Plugins declare it by the names of parameters, as they declare an emergency stop: a node with `address` and `port` listens there, unless `serve` is
-//! false or `role` is `client`; a node with `networks` uses the loopback device, or all networks.
+//! Plugins declare it by the names of parameters, as they declare an emergency stop: a node with `address` and `port`
+//! listens there, unless `serve` is false or `role` is `client`; a node with `networks` uses the loopback device, or
+//! all networks.
 
 use std::net::IpAddr;
 
@@ -18,7 +19,7 @@ pub struct Listener {
     pub what: &'static str,
     /// Where it listens when only a port is given, or what an address must be.
     pub default_address: &'static str,
-    /// What others may do.
+    /// Rights of other programs.
     pub access: &'static str,
 }
 
@@ -29,14 +30,14 @@ pub struct Listening {
     pub node: String,
     /// Name of its type.
     pub type_name: String,
-    /// Where it listens: `ADDRESS:PORT`, or the networks.
+    /// Address `ADDRESS:PORT` on which it listens, or the networks.
     pub at: String,
     /// Whether other machines can reach it.
     pub is_public: bool,
 }
 
 impl Listening {
-    /// Who can reach it, in words.
+    /// Who can reach it, as text.
     pub fn reach(&self) -> &'static str {
         if self.is_public { "other machines can reach it" } else { "this machine only" }
     }

@@ -1,8 +1,9 @@
-//! The nearest right name for a misspelt one.
+//! The closest valid name for a misspelt one.
 
 use std::path::{Path, PathBuf};
 
-/// Edit distance with insertions, deletions, substitutions and swaps of neighbours (optimal string alignment), ignoring case.
+/// Edit distance with insertions, deletions, substitutions and swaps of neighbours (optimal string alignment), ignoring
+/// case.
 fn distance(a: &str, b: &str) -> usize {
     let a: Vec<char> = a.chars().flat_map(char::to_lowercase).collect();
     let b: Vec<char> = b.chars().flat_map(char::to_lowercase).collect();
@@ -78,7 +79,7 @@ pub(crate) fn list<'a>(names: impl IntoIterator<Item = &'a str>, limit: usize, l
     }
 }
 
-/// A file of nearly that name in the same folder.
+/// A file with a similar name in the same folder.
 pub(crate) fn sibling(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?;
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -1,4 +1,4 @@
-//! The content of a graph file, right or wrong, for programs that draw it while it is edited.
+//! The content of a graph file, valid or not, for programs that draw it while it is edited.
 
 use crate::catalog::Catalog;
 use crate::checked::Align;
@@ -9,7 +9,7 @@ use crate::text::{FileKind, GraphText};
 use crate::value::plain_table;
 use std::path::{Path, PathBuf};
 
-/// One node as its table says it; names are not looked up yet.
+/// One node as written in its table; names are not resolved yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeOutline {
     /// Its name.
@@ -41,7 +41,7 @@ pub struct InputOutline {
     pub port: String,
     /// Written as a list.
     pub is_list: bool,
-    /// What it is connected to.
+    /// Its connections.
     pub from: Vec<Reference>,
 }
 
@@ -52,7 +52,7 @@ pub struct Reference {
     pub node: String,
     /// Its output.
     pub port: String,
-    /// How it is matched with the other inputs.
+    /// Matching with the other inputs.
     pub align: Align,
     /// 1 for the value of the tick before.
     pub delay: u8,
@@ -88,7 +88,7 @@ pub struct PartOutline {
 pub struct PartPort {
     /// Its name.
     pub name: String,
-    /// What it stands for: nodes, or parts of the part, by whole names, with their ports.
+    /// Its targets: nodes, or parts of the part, by whole names, with their ports.
     pub targets: Vec<(String, String)>,
 }
 
@@ -104,7 +104,7 @@ impl PartOutline {
 pub struct NodeHome {
     /// Absolute path of the file.
     pub file: PathBuf,
-    /// What the file is to the graph.
+    /// Whether the file is the graph file, a part or an overlay.
     pub kind: FileKind,
     /// The node's name in the file.
     pub local: String,

@@ -17,11 +17,11 @@ pub struct PacketType {
     pub layout_hash: u64,
 }
 
-/// Why an output cannot be connected to an input.
+/// An output that cannot be connected to an input.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum PacketMismatch {
     /// Another packet type.
-    #[error("this input takes {taken}, the output sends {sent}")]
+    #[error("this input accepts {taken}, but the output sends {sent}")]
     Type {
         /// Packet type of the output.
         sent: String,
@@ -29,7 +29,7 @@ pub enum PacketMismatch {
         taken: String,
     },
     /// The same packet type in other pixel formats.
-    #[error("this input takes {packet} as {taken}, the output sends {sent}")]
+    #[error("this input accepts {packet} as {taken}, but the output sends {sent}")]
     Format {
         /// The packet type of both.
         packet: String,
@@ -46,7 +46,7 @@ pub enum PacketMismatch {
     },
 }
 
-/// How an output fits an input.
+/// Fit of an output for an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Fit {
     Yes,
@@ -78,7 +78,7 @@ impl PacketType {
         }
     }
 
-    /// How an output of this type fits an input of type `input`.
+    /// Fit of an output of this type for an input of type `input`.
     pub(crate) fn fit(&self, input: &PacketType) -> Fit {
         if input.name == Self::ANY || self.name == Self::ANY {
             return Fit::Yes;
@@ -116,10 +116,10 @@ mod tests {
         let depth = PacketType { name: "depth".to_owned(), ..PacketType::default() };
         let words = |output: &PacketType, input: &PacketType| output.fits(input).map_err(|e| e.to_string());
         assert_eq!(words(&image(&["bgr8"]), &image(&["gray8"])), Ok(()));
-        assert_eq!(words(&depth, &image(&[])), Err("this input takes image, the output sends depth".to_owned()));
+        assert_eq!(words(&depth, &image(&[])), Err("this input accepts image, but the output sends depth".to_owned()));
         assert_eq!(
             words(&image(&["f32"]), &image(&["bgr8", "gray8"])),
-            Err("this input takes image as bgr8 or gray8, the output sends f32".to_owned())
+            Err("this input accepts image as bgr8 or gray8, but the output sends f32".to_owned())
         );
     }
 }

@@ -21,13 +21,14 @@ pub struct Param {
     /// A change reopens the node instead of being applied between two ticks.
     #[serde(default)]
     pub reopen: bool,
-    /// How a person picks the value, besides typing it.
+    /// Way of picking the value, besides typing.
     #[serde(default, skip_serializing_if = "Pick::is_none")]
     pub pick: Pick,
-    /// The node writes the file that the path names. The path may hold place holders such as `{seq}`.
+    /// The node writes the file that the path names. The path may hold placeholders such as `{seq}`.
     #[serde(default, skip_serializing_if = "is_false")]
     pub writes: bool,
-    /// The default of the path is relative to [`NodeType::shipped_dir`](crate::NodeType::shipped_dir) and not to the graph file.
+    /// The default of the path is relative to [`NodeType::shipped_dir`](crate::NodeType::shipped_dir) and not to the
+    /// graph file.
     #[serde(default, skip_serializing_if = "is_false")]
     pub shipped: bool,
 }
@@ -36,23 +37,24 @@ fn is_false(flag: &bool) -> bool {
     !flag
 }
 
-/// How a person picks a value, besides typing it.
+/// Way of picking a value, besides typing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Pick {
-    /// In no way of its own.
+    /// By typing only.
     #[default]
     None,
-    /// Points of a picture in px: u, v, u, v, ... The picture is the first one that the node reads, or the first one that a source makes.
+    /// Points of an image in px: u, v, u, v, ... The image is the first one that the node reads, or the first one that
+    /// a source makes.
     Points,
-    /// Rectangles of such a picture in px: x, y, width, height, ...
+    /// Rectangles of such an image in px: x, y, width, height, ...
     Rectangles,
     /// A file or folder, relative to the graph file.
     File,
 }
 
 impl Pick {
-    /// Whether there is no way of its own.
+    /// Whether the value can only be typed.
     pub fn is_none(&self) -> bool {
         *self == Self::None
     }
@@ -138,17 +140,17 @@ pub enum ParamKind {
     Floats {
         /// Value when the graph says nothing.
         default: Vec<f64>,
-        /// Fewest numbers.
+        /// Minimum number of entries.
         #[serde(default)]
         min_len: usize,
-        /// Maximum number of numbers; `None` for no limit.
+        /// Maximum number of entries; `None` for no limit.
         #[serde(default)]
         max_len: Option<usize>,
     },
 }
 
 impl ParamKind {
-    /// The type in words for messages: `a whole number`, `true or false`, ...
+    /// Description of the type for messages: `a whole number`, `true or false`, ...
     pub fn expected(&self) -> &'static str {
         match self {
             Self::Bool { .. } => "true or false",
@@ -187,13 +189,13 @@ pub enum ParamValue {
     Floats(Vec<f64>),
 }
 
-/// Why a parameter cannot take a value.
+/// A value that a parameter refuses.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ValueError {
     /// The value has another type.
-    #[error("{expected} is expected")]
+    #[error("expected {expected}")]
     Type {
-        /// The type of the parameter in words.
+        /// Description of the parameter's type.
         expected: &'static str,
     },
     /// The value, or the length of a list, is outside its limits.
@@ -224,11 +226,11 @@ pub enum ValueError {
     OffStep {
         /// Distance between allowed values.
         step: i64,
-        /// Where steps are counted from.
+        /// Origin of the steps.
         base: i64,
     },
     /// The word is not in the list.
-    #[error("`{word}` is none of: {choices}")]
+    #[error("`{word}` is not one of: {choices}")]
     UnknownChoice {
         /// The word.
         word: String,
@@ -243,7 +245,7 @@ pub enum ValueError {
     },
 }
 
-/// The error for a value outside of limits of which at least one is known, or that is not finite.
+/// The error for a value that is outside its limits, of which at least one is known, or not finite.
 fn outside(low: Option<String>, high: Option<String>) -> ValueError {
     match (low, high) {
         (Some(low), Some(high)) => ValueError::Outside { low, high },

@@ -7,7 +7,7 @@ use crate::value::{Table, Value, from_toml, table_from_toml};
 use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
-/// What could be read of a file.
+/// Parsed parts of a file.
 pub(crate) struct Parsed {
     pub(crate) root: Table,
     pub(crate) diagnostics: Diagnostics,
@@ -18,7 +18,8 @@ pub(crate) struct Parsed {
 /// Largest number of broken lines that are skipped before the rest of the file is ignored.
 const ROUNDS: usize = 50;
 
-/// Bytes parsed over all rounds: a long file that is broken everywhere is not a graph, and parsing it must not take long.
+/// Bytes parsed over all rounds: a long file that is broken everywhere is not a graph, and parsing it must not take
+/// long.
 const MAX_BYTES: usize = 5_000_000;
 
 pub(crate) fn parse(source: &Source) -> Parsed {
@@ -105,7 +106,7 @@ fn with_source_keys(mut root: Table, source: &Source) -> Table {
     root
 }
 
-/// The key of a second `[nodes.x]`.
+/// Finds the key of a second `[nodes.x]`.
 fn double_node(source: &Source, work: &str, error: &toml::de::Error) -> Option<Range<usize>> {
     let span = source.clamp(error.span()?);
     let is_double = error.message() == "duplicate key" && !span.is_empty();
@@ -113,7 +114,7 @@ fn double_node(source: &Source, work: &str, error: &toml::de::Error) -> Option<R
     (is_double && is_node_header(&work[line])).then_some(span)
 }
 
-/// `[nodes.x]`, and not `[nodes.x.params]`.
+/// Whether a line is `[nodes.x]`, and not `[nodes.x.params]`.
 fn is_node_header(line: &str) -> bool {
     let Some(inner) = line.trim().strip_prefix('[').and_then(|l| l.split(']').next()) else { return false };
     let mut parts = inner.split('.').map(str::trim);
@@ -267,7 +268,7 @@ fn unclosed(source: &Source, work: &str, position: usize) -> Option<(Range<usize
     Some((bracket..bracket + 1, source.line_span(start).start..source.line_span(end).end))
 }
 
-/// `[a.b]` or `[[a]]`, alone on its line, with nothing that only a list of values would hold.
+/// Whether a line is `[a.b]` or `[[a]]` alone, without anything that only a list of values could hold.
 fn is_header(line: &str) -> bool {
     let line = line.split('#').next().unwrap_or_default().trim();
     let inner = line.trim_start_matches('[').trim_end_matches(']');
@@ -277,7 +278,7 @@ fn is_header(line: &str) -> bool {
         && !inner.contains([',', '[', '{', '='])
 }
 
-/// `key = ...`
+/// Whether a line begins with `key =`.
 fn is_assignment(line: &str) -> bool {
     let Some((key, _)) = line.split_once('=') else { return false };
     let key = key.trim();
@@ -304,7 +305,7 @@ fn open_bracket(text: &str) -> Option<usize> {
     open.first().copied()
 }
 
-/// The parser's terse words, put so that they say what to do.
+/// Rewords the parser's terse message so that it says what to do.
 fn syntax(source: &Source, message: &str, span: &Range<usize>) -> Diagnostic {
     let line = &source.text[source.line_span(source.line(span.start))];
     let written = &source.text[span.clone()];

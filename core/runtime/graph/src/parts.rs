@@ -1,5 +1,5 @@
-//! Parts and overlays: nodes that are graph files are replaced by the nodes of those files before names are looked up, so that a part costs
-//! nothing at run time.
+//! Parts and overlays: nodes that are graph files are replaced by the nodes of those files before names are looked up,
+//! so that a part costs nothing at run time.
 
 use crate::args::refuse_in_part;
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
@@ -23,7 +23,7 @@ const MAX_TEXT_BYTES: usize = 64 << 20;
 /// Maximum number of inputs and parameters that parts hand on to their nodes: names of names multiply.
 const MAX_FORWARDED: usize = 50_000;
 
-/// What a name of a part stands for in the flattened graph.
+/// Target of a name of a part in the flattened graph.
 #[derive(Clone, Debug)]
 pub(crate) struct Target {
     pub(crate) node: String,
@@ -33,7 +33,7 @@ pub(crate) struct Target {
 /// A node that was replaced by the nodes of its file.
 #[derive(Clone, Debug)]
 pub(crate) struct Part {
-    /// As the file that uses it says.
+    /// As written in the file that uses it.
     pub(crate) node: NodeText,
     /// `None` when its file could not be used.
     pub(crate) interface: Option<Interface>,
@@ -82,7 +82,7 @@ impl Flat {
         self.parts.iter().find(|p| p.node.id.value == id)
     }
 
-    /// What `part.param` stands for: all parameters of nodes, through parts of parts.
+    /// All parameters of nodes that `part.param` stands for, through parts of parts.
     pub(crate) fn param_targets(&self, id: &str, param: &str) -> Option<Vec<Target>> {
         let inner = |id: &str, param: &str| {
             let targets = Interface::find(&self.part(id)?.interface.as_ref()?.params, param)?;
@@ -126,7 +126,7 @@ impl Flattener<'_> {
         self.flat.diagnostics.push(d)
     }
 
-    /// Flattens the graph file `root`, which lies at `path`.
+    /// Flattens the graph file `root`, whose file is `path`.
     pub(crate) fn run(mut self, mut root: FileText, path: &Path) -> (Flat, Vec<ViewText>, Vec<PinText>) {
         let (mut views, mut pins) = (std::mem::take(&mut root.views), std::mem::take(&mut root.pins));
         let alone = root.part.is_some();
@@ -191,7 +191,7 @@ impl Flattener<'_> {
         self.interface(file.part, prefix)
     }
 
-    /// The names a part offers. Those that stand for nothing are reported.
+    /// The names a part offers. Reports names that stand for nothing.
     fn interface(&mut self, part: Option<PartText>, prefix: &str) -> Interface {
         let PartText { inputs, outputs, params } = part.unwrap_or_default();
         let mut known = |exports: Vec<Export>| {
@@ -341,7 +341,7 @@ impl Flattener<'_> {
         Some(interface)
     }
 
-    /// Hands what the graph gives to a part on to the nodes inside.
+    /// Passes what the graph gives to a part on to the nodes inside.
     fn given(&mut self, node: &NodeText, interface: &Interface) {
         for input in &node.inputs {
             match Interface::find(&interface.inputs, &input.port.value) {
@@ -400,7 +400,7 @@ impl Flattener<'_> {
         self.error(code, &name.span, message).label(near.unwrap_or_default()).help(help);
     }
 
-    /// Counts a name that is handed on; the first one too many is reported.
+    /// Counts a name that is passed on. Reports the first one beyond the limit; `false` from there on.
     fn may_forward(&mut self, span: &Range<usize>) -> bool {
         self.flat.forwarded += 1;
         if self.flat.forwarded == MAX_FORWARDED {

@@ -7,11 +7,11 @@ use std::path::Path;
 /// Maximum number of bytes of one file of a graph.
 pub(crate) const MAX_BYTES: u64 = 16 << 20;
 
-/// Reads a file that a graph names or is. A device or a pipe is refused, because reading it need not end.
+/// Reads a file that a graph names or is. A device or a pipe is refused, because reading it may never end.
 ///
 /// # Errors
-/// The system's error; [`io::ErrorKind::IsADirectory`] for a folder, [`io::ErrorKind::InvalidInput`] for what is not a regular file and
-/// [`io::ErrorKind::FileTooLarge`] for more than [`MAX_BYTES`].
+/// The system's error; [`io::ErrorKind::IsADirectory`] for a folder, [`io::ErrorKind::InvalidInput`] for what is not a
+/// regular file and [`io::ErrorKind::FileTooLarge`] for more than [`MAX_BYTES`].
 pub(crate) fn read_file(path: &Path) -> io::Result<Vec<u8>> {
     let about = std::fs::metadata(path)?;
     if about.is_dir() {

@@ -1,4 +1,4 @@
-//! The part of a graph that some of its outputs need.
+//! Reduces a graph to the nodes that some of its outputs need.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,7 @@ use crate::catalog::Offer;
 use crate::text::GraphText;
 
 impl GraphText {
-    /// Names of the nodes that these nodes need: they themselves, and all that they read, however far. Names that no node has are left out.
+    /// Names of these nodes and of all nodes that they read, directly or not. Unknown names are left out.
     fn needed(&self, nodes: &[&str]) -> BTreeSet<String> {
         let mut needed = BTreeSet::new();
         let mut open: Vec<&str> = nodes.to_vec();
@@ -19,7 +19,8 @@ impl GraphText {
         needed
     }
 
-    /// Leaves out the nodes that these nodes do not need, and plugins of which then no node is left. Mistakes keep their places in the files.
+    /// Removes nodes that these nodes do not need, and plugins that then have no node left. Diagnostics keep their
+    /// locations in the files.
     ///
     /// `offers` has the node types of the plugins; a plugin that it does not have stays.
     pub fn reduce_to(&mut self, nodes: &[&str], offers: &[Offer]) {

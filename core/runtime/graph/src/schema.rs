@@ -10,7 +10,7 @@ const NODE_ID: &str = "^[A-Za-z_][A-Za-z0-9_-]*(/[A-Za-z_][A-Za-z0-9_-]*)*$";
 const REFERENCE: &str = "^[A-Za-z_][A-Za-z0-9_/-]*\\.[^.]+$";
 
 /// Schema (draft 2020-12) of a graph made of the catalog's node types. Names of ports and parameters are closed lists;
-/// what a schema cannot say (references, packets, cycles) is left to [`check`](crate::check).
+/// what a schema cannot express (references, packets, cycles) is left to [`check`](crate::check).
 pub fn json_schema(catalog: &Catalog) -> Value {
     let mut plugins: Vec<&str> = catalog.plugins.iter().map(String::as_str).collect();
     plugins.extend(catalog.node_types.iter().map(|t| t.plugin.as_str()));
@@ -106,7 +106,7 @@ fn graph_properties(plugins: &[&str]) -> Value {
     })
 }
 
-/// What the schema names in several places.
+/// Definitions that the schema refers to in several locations.
 fn definitions(node: &Value) -> Value {
     json!({
         "node": node,
@@ -168,7 +168,7 @@ fn definitions(node: &Value) -> Value {
     })
 }
 
-/// Another machine.
+/// Schema of an entry of `[machines]`.
 fn machine_schema() -> Value {
     json!({
         "type": "object",
@@ -183,7 +183,7 @@ fn machine_schema() -> Value {
     })
 }
 
-/// An argument of the graph.
+/// Schema of an argument of the graph.
 fn arg_schema() -> Value {
     json!({
         "type": "object",
@@ -230,7 +230,7 @@ fn aligned_schema() -> Value {
     })
 }
 
-/// A node that is a graph file.
+/// Schema of a node that is a graph file.
 fn part_schema() -> Value {
     json!({
         "type": "object",

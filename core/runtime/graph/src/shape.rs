@@ -19,7 +19,7 @@ const TOP_OF_PART: [&str; 6] = ["name", "plugins", "plugin_paths", "part", "node
 const TOP_OF_OVERLAY: [&str; 7] = ["plugins", "plugin_paths", "args", "nodes", "isolate", "deny", "machines"];
 const NODE: [&str; 10] =
     ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu", "isolate", "on"];
-/// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
+/// Limits of times and rates in a graph: a day, and a tick per nanosecond.
 pub(crate) const MAX_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
 const INPUT: [&str; 9] =
@@ -28,7 +28,7 @@ const PRESET: [&str; 2] = ["pinned", "views"];
 const PIN: [&str; 4] = ["param", "range", "label", "optional"];
 const VIEW: [&str; 3] = ["from", "label", "optional"];
 
-/// What the tree of a file says; mistakes go to its diagnostics, behind those of the parser. `sources` holds the file's text.
+/// Reads the tree of a file; mistakes follow the parser's diagnostics. `sources` holds the file's text.
 pub(crate) fn read(sources: &Sources, role: Role, parsed: Parsed) -> FileText {
     let Parsed { root, diagnostics, incomplete } = parsed;
     let mut reader = Reader::new(sources);
@@ -48,9 +48,9 @@ pub(crate) fn read_args(sources: &Sources, role: Role, root: &Table) -> (Vec<Arg
 struct Reader<'s> {
     sources: &'s Sources,
     file: FileText,
-    /// Takes what is said of a missing argument, which is reported elsewhere.
+    /// Diagnostics of missing arguments, which are reported elsewhere.
     unheard: Option<Diagnostic>,
-    /// Where each node's name stands first.
+    /// First position of each node's name.
     ids: HashMap<String, Range<usize>>,
 }
 
@@ -65,7 +65,7 @@ impl<'s> Reader<'s> {
     }
 
     fn wrong_type(&mut self, what: &str, expected: &str, found: &Value) -> &mut Diagnostic {
-        let message = format!("{what} must be {expected}, this is {}", found.value.found());
+        let message = format!("{what} must be {expected}, not {}", found.value.found());
         if found.value == Kind::Missing {
             let d = Diagnostic::new(Severity::Error, "wrong-type", self.sources.of(&found.span), &found.span, message);
             return self.unheard.insert(d);
@@ -73,7 +73,7 @@ impl<'s> Reader<'s> {
         self.error("wrong-type", &found.span, message).label(format!("expected {expected}"))
     }
 
-    /// The intended key: itself when known; otherwise reports it and returns the nearest one that the table
+    /// The intended key: the key itself when known; otherwise reports it and returns the closest one that the table
     /// does not have, so that a misspelt key does not hide the mistakes below it.
     fn key<'k>(&mut self, what: &str, key: &'k Spanned<String>, known: &[&'static str], table: &'k Table) -> &'k str {
         if known.contains(&key.value.as_str()) {
@@ -110,7 +110,7 @@ impl<'s> Reader<'s> {
         Some(table)
     }
 
-    /// One of a few words, each standing for a value.
+    /// Looks up one of a few words, each of which stands for a value.
     fn word<T: Copy>(&mut self, what: &str, value: &Value, words: &[(&str, T)]) -> Option<T> {
         let text = self.text(&format!("`{what}`"), value)?;
         if let Some((_, result)) = words.iter().find(|(w, _)| *w == text.value) {
@@ -139,7 +139,7 @@ impl<'s> Reader<'s> {
             return None;
         }
         if number > most {
-            self.error("out-of-range", &value.span, format!("`{what}` is {number:?}, allowed are at most {most}"))
+            self.error("out-of-range", &value.span, format!("`{what}` is {number:?}; allowed: at most {most}"))
                 .label(format!("expected at most {most}"));
             return None;
         }
@@ -154,7 +154,7 @@ impl<'s> Reader<'s> {
         };
         if !range.contains(&number) {
             let (low, high) = (range.start(), range.end());
-            let message = format!("`{what}` is {number}, allowed are {low} to {high}");
+            let message = format!("`{what}` is {number}; allowed: {low} to {high}");
             self.error("out-of-range", &value.span, message).label(format!("expected {low} to {high}"));
             return None;
         }
@@ -452,7 +452,7 @@ impl<'s> Reader<'s> {
         match value.value {
             Kind::Int(n @ 0..=1) => return n as u8,
             Kind::Int(n) => {
-                let message = format!("`delay` is {n}, allowed are 0 and 1");
+                let message = format!("`delay` is {n}; allowed: 0 and 1");
                 self.error("out-of-range", &value.span, message).label("expected 0 or 1").help(
                     "1 gives the value of the consumer's previous tick; longer delays need a node that stores values",
                 );

@@ -13,7 +13,7 @@ pub(crate) struct Source {
     pub(crate) text: String,
     /// Folder that relative paths in the text start from.
     pub(crate) dir: PathBuf,
-    /// Where the text begins among all of a [`Sources`].
+    /// Offset of the text among all texts of a [`Sources`].
     base: usize,
     line_starts: Vec<usize>,
 }
@@ -25,7 +25,7 @@ pub(crate) struct Location {
     /// From 1, in characters.
     pub(crate) column: usize,
     pub(crate) line_text: String,
-    /// Characters of the span that lie on this line, at least 1.
+    /// Characters of the span that are on this line, at least 1.
     pub(crate) width: usize,
 }
 
@@ -35,17 +35,17 @@ impl Source {
         Self { name, text, dir, base: 0, line_starts }
     }
 
-    /// Where the text begins among all.
+    /// Offset of the text among all texts.
     pub(crate) fn base(&self) -> usize {
         self.base
     }
 
-    /// A span of all texts as bytes of this one, pulled inside the text and onto character boundaries.
+    /// A span of all texts as bytes of this one, clamped to the text and to character boundaries.
     pub(crate) fn local(&self, span: &Range<usize>) -> Range<usize> {
         self.clamp(span.start.saturating_sub(self.base)..span.end.saturating_sub(self.base))
     }
 
-    /// `span` of this text pulled inside the text and onto character boundaries.
+    /// `span` of this text clamped to the text and to character boundaries.
     pub(crate) fn clamp(&self, span: Range<usize>) -> Range<usize> {
         let start = self.text.floor_char_boundary(span.start.min(self.text.len()));
         let end = self.text.ceil_char_boundary(span.end.clamp(start, self.text.len()));
@@ -81,7 +81,7 @@ impl Source {
     }
 }
 
-/// All texts of a graph, one behind the other: a span of bytes identifies its text. The first is the graph file.
+/// All texts of a graph, concatenated: a span of bytes identifies its text. The first is the graph file.
 #[derive(Clone, Debug)]
 pub(crate) struct Sources {
     list: Vec<Source>,
@@ -92,7 +92,7 @@ impl Sources {
         Self { list: vec![first] }
     }
 
-    /// Adds a text behind the others; returns its position in the list.
+    /// Appends a text; returns its position in the list.
     pub(crate) fn add(&mut self, mut source: Source) -> usize {
         // One byte between two texts keeps their ends apart.
         source.base = self.list.last().map_or(0, |last| last.base + last.text.len() + 1);
@@ -119,7 +119,7 @@ impl Sources {
         &self.list[self.index(span.start)]
     }
 
-    /// What stands at a span.
+    /// The text inside a span.
     pub(crate) fn text(&self, span: &Range<usize>) -> &str {
         let source = self.of(span);
         &source.text[source.local(span)]

@@ -23,7 +23,8 @@ impl GraphFile<'_> {
     }
 }
 
-/// A graph file as read, with its parts and overlays: ready to be asked for its plugins, then to be checked against a catalog.
+/// A graph file as read, with its parts and overlays: ready to be asked for its plugins, then to be checked against a
+/// catalog.
 #[derive(Clone, Debug)]
 pub struct GraphText {
     pub(crate) sources: Sources,
@@ -45,10 +46,10 @@ pub struct GraphText {
     /// A part that is opened by itself.
     is_part: bool,
     args: Vec<Arg>,
-    /// Arguments without a value, each with what is said of it when the graph is to run.
+    /// Arguments without a value, each with the diagnostic for a graph that is to run.
     missing_args: Vec<(String, Diagnostic)>,
     allow_missing_args: bool,
-    /// Where arguments are used; no two uses begin at one byte.
+    /// Positions at which arguments are used; no two begin at the same byte.
     pub(crate) arg_uses: HashMap<usize, ArgUse>,
     /// Positions of the overlays among the sources.
     pub(crate) overlays: Vec<usize>,
@@ -60,7 +61,7 @@ pub struct GraphText {
     pub(crate) is_reduced: bool,
 }
 
-/// What a file is to a graph.
+/// The role of a file in a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
     /// The graph file itself.
@@ -74,11 +75,11 @@ pub enum FileKind {
 /// A file that a graph was read from.
 #[derive(Clone, Copy, Debug)]
 pub struct GraphFile<'t> {
-    /// What it is.
+    /// Its role in the graph.
     pub kind: FileKind,
     /// Path as diagnostics show it.
     pub path: &'t str,
-    /// What was read.
+    /// The text that was read.
     pub text: &'t str,
 }
 
@@ -94,7 +95,7 @@ impl GraphText {
     /// Reads a graph file with its parts.
     ///
     /// # Errors
-    /// There is no text to look at: a missing or unreadable file, or one that is not UTF-8.
+    /// The file has no text: a missing or unreadable file, or one that is not UTF-8.
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
         Self::load_with(path, &GraphOptions::default())
     }
@@ -107,8 +108,8 @@ impl GraphText {
         Ok(Self::parse_with(path, &read_text(path, "graph")?, options))
     }
 
-    /// Reads the text of a graph file, and its parts from disk. `path` names it in messages and its folder is what paths in it are relative to.
-    /// Mistakes are kept and come out of [`check`](crate::check), together with those found there.
+    /// Reads the text of a graph file, and its parts from disk. `path` names it in messages; paths in it are relative
+    /// to the folder of `path`. Mistakes are kept and returned by [`check`](crate::check) together with its own.
     pub fn parse(path: &Path, text: &str) -> Self {
         Self::parse_with(path, text, &GraphOptions::default())
     }
@@ -208,7 +209,7 @@ impl GraphText {
         this
     }
 
-    /// Adds one `node.param=value` of the command line; it wins over the file. Checked like the file's own values.
+    /// Adds one `node.param=value` of the command line; it overrides the file. Checked like the file's own values.
     pub fn set(&mut self, assignment: &str) {
         const OPTION: &str = "--set ";
         // Relative paths start from the graph file, as if the value stood there.
@@ -272,11 +273,11 @@ impl GraphText {
         names
     }
 
-    /// Those of [`Self::plugins`] whose nodes all run in processes of their own: the process of the graph need not load them. `[isolate]` names them,
-    /// or each of their nodes says `isolate`.
+    /// Those of [`Self::plugins`] whose nodes all run in separate processes: the process of the graph need not load
+    /// them. `[isolate]` names them, or each of their nodes says `isolate`.
     ///
-    /// `offers` has the node types of the plugins. Where a node that is not isolated is of a type that no plugin offers, only those that `[isolate]`
-    /// names count: what is offered is not known completely.
+    /// `offers` has the node types of the plugins. Where a node that is not isolated is of a type that no plugin
+    /// offers, only those that `[isolate]` names count, because the offers are incomplete.
     pub fn isolated_plugins(&self, offers: &[Offer]) -> Vec<String> {
         let plugins = self.plugins();
         let of_plugin = |plugin: &str| offers.iter().find(|offer| offer.plugin == plugin);
@@ -342,7 +343,7 @@ impl GraphText {
         self.missing().map(|(name, _)| name.as_str()).collect()
     }
 
-    /// What is said of the missing arguments, when the graph is to run.
+    /// Diagnostics of the missing arguments, for a graph that is to run.
     pub(crate) fn missing_diagnostics(&self) -> impl Iterator<Item = &Diagnostic> {
         self.missing().filter(|_| !self.allow_missing_args).map(|(_, diagnostic)| diagnostic)
     }
@@ -391,7 +392,7 @@ impl GraphText {
         all.map(|o| format!("{}.{}={}", o.node.value, o.param.value, o.value.value)).collect()
     }
 
-    /// Name of the graph: what the file says, else the stem of its name.
+    /// Name of the graph: the one in the file, else the stem of its name.
     pub fn name(&self) -> &str {
         self.name.as_ref().map_or(&self.stem, |n| &n.value)
     }
@@ -401,8 +402,8 @@ impl GraphText {
         &self.sources.first().text
     }
 
-    /// An error or warning of the caller's own about a parameter of a node, at the parameter's value where a file gives one, else at the node's
-    /// name. `help` may be empty.
+    /// A diagnostic of the caller about a parameter of a node, at the parameter's value where a file gives one, else at
+    /// the node's name. `help` may be empty.
     pub fn about_param(
         &self,
         severity: Severity,
@@ -420,13 +421,13 @@ impl GraphText {
         Diagnostics::one(diagnostic)
     }
 
-    /// What is wrong with the shape of the file so far. [`check`](crate::check) repeats these.
+    /// Mistakes in the shape of the file found so far. [`check`](crate::check) repeats these.
     pub fn diagnostics(&self) -> &Diagnostics {
         &self.diagnostics
     }
 }
 
-/// Reads a file as text; `what` it is stands in the code and the message of an error.
+/// Reads a file as text; `what` is its role, for the code and message of an error.
 fn read_text(path: &Path, what: &str) -> Result<String, Diagnostics> {
     let name = path.display().to_string();
     let fail = |code, message: String, help: String| {
@@ -446,7 +447,7 @@ fn read_text(path: &Path, what: &str) -> Result<String, Diagnostics> {
                 None if is_graph => "give the path of a graph file (.toml)".to_owned(),
                 None => "give the path of an overlay (.toml) after --with".to_owned(),
             };
-            return fail(missing, format!("there is no such {file}"), help);
+            return fail(missing, format!("the {file} does not exist"), help);
         }
         Err(e) if e.kind() == std::io::ErrorKind::IsADirectory => {
             let message = format!("this is a folder, not a {file}").replace("a overlay", "an overlay");

@@ -1,7 +1,7 @@
-//! What a node itself checks about its parameters and wiring, before it is opened.
+//! A node's own check of its parameters and wiring, before it is opened.
 //!
-//! This crate knows no plugin: the code that fills a [`Catalog`](crate::Catalog) attaches a [`Validator`] to a node type, and
-//! [`check`](crate::check) calls it with the values that the graph gives.
+//! This crate knows no plugin: the code that fills a [`Catalog`](crate::Catalog) attaches a [`Validator`] to a node
+//! type, and [`check`](crate::check) calls it with the values that the graph gives.
 
 use std::fmt;
 use std::path::Path;
@@ -21,7 +21,7 @@ pub struct NodeSetup<'a> {
     pub graph_dir: &'a Path,
     /// Whether the graph runs in `batch` mode.
     pub batch: bool,
-    /// How it is wired; `None` when that is not known.
+    /// Its wiring; `None` if unknown.
     pub wiring: Option<&'a Wiring>,
 }
 
@@ -39,10 +39,10 @@ pub(crate) fn port_bit(port: usize) -> u64 {
     u32::try_from(port).ok().and_then(|port| 1_u64.checked_shl(port)).unwrap_or(0)
 }
 
-/// Something that a node says is wrong with its parameters or wiring.
+/// A mistake in parameters or wiring that a node reports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParamProblem {
-    /// Whether the node can work at all.
+    /// Error when the node cannot work at all.
     pub severity: Severity,
     /// The parameter it is about, a position in the type's `params`; `None` for the node as a whole.
     pub param: Option<usize>,
@@ -59,17 +59,18 @@ type Check = dyn Fn(&NodeSetup<'_>) -> Vec<ParamProblem> + Send + Sync;
 pub struct Validator(Arc<Check>);
 
 impl Validator {
-    /// A validator that asks `check`, which opens no device and writes nothing.
+    /// A validator that calls `check`, which opens no device and writes nothing.
     pub fn new(check: impl Fn(&NodeSetup<'_>) -> Vec<ParamProblem> + Send + Sync + 'static) -> Self {
         Self(Arc::new(check))
     }
 
-    /// All that is wrong with a node.
+    /// All mistakes of a node.
     pub fn problems(&self, setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
         (self.0)(setup)
     }
 
-    /// Why a running node that has the values `old` may not take those of `setup`: the first error that `old` does not have too.
+    /// The first error that the values of `setup` have and the values `old` of the running node do not; `None` when the
+    /// node may take them.
     pub fn refusal(&self, setup: &NodeSetup<'_>, old: &[ParamValue]) -> Option<String> {
         let errors = |setup: &NodeSetup<'_>| {
             let mut all = self.problems(setup);
@@ -92,7 +93,7 @@ impl fmt::Debug for Validator {
     }
 }
 
-/// Code is not a part of a node type's description.
+/// Validators are equal, because code is not a part of a node type's description.
 impl PartialEq for Validator {
     fn eq(&self, _: &Self) -> bool {
         true

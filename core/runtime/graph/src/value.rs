@@ -1,5 +1,5 @@
-//! A TOML value with its byte span, in file order. A type of our own, because numbers that do not fit and repeated tables must survive to be
-//! reported; a plain deserializer stops at them.
+//! A TOML value with its byte span, in file order. A separate type, because numbers that do not fit and repeated tables
+//! must survive to be reported; a plain deserializer stops at them.
 
 use std::ops::Range;
 use toml::de::{DeTable, DeValue};
@@ -8,7 +8,7 @@ use toml::value::Datetime;
 /// Something read from the text, with its span.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spanned<T> {
-    /// What was read.
+    /// The read content.
     pub value: T,
     /// Bytes of the text.
     pub span: Range<usize>,
@@ -50,7 +50,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// What it is in words, for "found ...".
+    /// Description of the kind, for "found ...".
     pub(crate) fn found(&self) -> &'static str {
         match self {
             Self::Bool(_) => "true or false",
@@ -80,7 +80,7 @@ impl Kind {
         }
     }
 
-    /// The value without places, for tables that are passed on as they are.
+    /// The value without spans, for tables that are passed on as they are.
     pub(crate) fn plain(&self) -> toml::Value {
         match self {
             Self::Bool(b) => (*b).into(),

@@ -98,7 +98,7 @@ fn wrong_settings_are_shown_as_typed() {
         "|                     ^^^ expected 0 to 40 px\n",
         "did you mean `wide`?",
         "did you mean `blend_px`?",
-        "`blend_px` must be a whole number, this is a text",
+        "`blend_px` must be a whole number, not a text",
         "a setting is written node.param=value",
         "choices: \"ransac\", \"lmeds\", \"prosac\"",
     ] {
@@ -122,7 +122,7 @@ fn a_missing_file_and_a_wrong_encoding_are_told() {
     std::fs::write(folder.join("panorama.toml"), PANORAMA).expect("a file");
     std::fs::write(folder.join("latin.toml"), b"name = \"a\"\n# \xe9t\xe9\n").expect("a file");
     let missing = GraphText::load(&folder.join("panorma.toml")).expect_err("no such file").render(false);
-    assert!(missing.contains("there is no such graph file") && missing.contains("panorama.toml`?"), "{missing}");
+    assert!(missing.contains("the graph file does not exist") && missing.contains("panorama.toml`?"), "{missing}");
     let latin = GraphText::load(&folder.join("latin.toml")).expect_err("not UTF-8").render(false);
     assert!(latin.contains("not UTF-8") && latin.contains("line 2"), "{latin}");
     let directory = GraphText::load(&folder).expect_err("a folder").render(false);

@@ -1,5 +1,5 @@
-//! Every bad graph of the repository's `tests/bad_graphs` gives exactly the message beside it.
-//! `PANOSCOPE_BLESS=1 cargo nextest run -p panoscope-graph graph_messages::` writes the messages anew; read them after that.
+//! Every bad graph of the repository's `tests/bad_graphs` gives exactly the message beside it. `PANOSCOPE_BLESS=1 cargo
+//! nextest run -p panoscope-graph graph_messages::` writes the messages anew; read them after that.
 
 use crate::common;
 use panoscope_graph::{GraphOptions, GraphText, check};

@@ -1,4 +1,4 @@
-//! What nodes check about themselves, files that meet, and defaults that come with a plugin.
+//! Tests of checks by nodes, of files that several nodes use, and of defaults from plugins.
 
 use crate::common;
 use std::path::{Path, PathBuf};

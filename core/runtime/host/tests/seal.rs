@@ -1,4 +1,5 @@
-//! A lock has every file that a parameter is declared to name, and nodes of a verified graph read copies that nobody can change.
+//! A lock has every file that a parameter is declared to name, and nodes of a verified graph read copies that nobody
+//! can change.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! Checksums of a recording's messages: a flipped bit is reported with its position and never read as other data.
+//! Checksums of a recording's messages: a flipped bit is reported with its position and never read as valid data.
 
 use mcap::records::MessageHeader;
 use xxhash_rust::xxh3::Xxh3;
@@ -40,14 +40,14 @@ pub(crate) fn seal(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], json: &mut Vec<
     json.extend_from_slice(CLOSE);
 }
 
-/// The result of checking an event's checksum.
+/// Result of the check of an event's checksum.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Seal {
     /// The event has no checksum.
     None,
-    /// The event is not what was written.
+    /// The event differs from its checksum.
     Broken,
-    /// The event is what was written.
+    /// The event matches its checksum.
     Whole,
 }
 

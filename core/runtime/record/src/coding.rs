@@ -1,8 +1,9 @@
-//! How the bytes of a packet are stored: as they are, compressed, or as a reference to the same bytes earlier in the file.
+//! Storage of the bytes of a packet: uncompressed, compressed, or as a reference to equal bytes earlier in the file.
 //!
-//! Compression is made for pictures and maps: numbers of 1, 2 or 4 bytes become differences to the number one pixel before, which are small where
-//! neighbours are alike; then come the lowest bytes of all differences, the second lowest, and so on; zstd compresses the result. Before it stands its
-//! XXH3: a frame of zstd has bits that change nothing, and no damage may pass.
+//! Compression is designed for images and maps: numbers of 1, 2 or 4 bytes become differences to the number one pixel
+//! before, which are small where neighbours are alike; then come the lowest bytes of all differences, the second
+//! lowest, and so on; zstd compresses the result. Its XXH3 precedes it, because some bits of a zstd frame have no
+//! effect and no damage may go unnoticed.
 
 use std::collections::{HashMap, VecDeque};
 use std::io;
@@ -13,18 +14,18 @@ use zstd::bulk::{Compressor, Decompressor};
 
 use crate::format::PacketHead;
 
-/// zstd's level: higher ones gain a few percent on camera pictures and take several times as long.
+/// zstd's level: higher ones gain a few percent on camera images and take several times as long.
 const LEVEL: i32 = 1;
-/// Shorter packets are stored as they are.
+/// Shorter packets are stored uncompressed.
 const MIN_BYTES: usize = 256;
-/// Packets whose place in the file is remembered.
+/// Number of packets whose offset in the file is kept.
 const REMEMBERED: usize = 256;
 /// Bytes of the checksum before packed bytes.
 const SUM_BYTES: usize = 8;
-/// Bytes of a reference: the place of the stored bytes.
+/// Bytes of a reference: the offset of the stored bytes.
 pub(crate) const REFERENCE_BYTES: u64 = 8;
 
-/// The numbers of a format: bytes of each, and how many numbers a pixel has. Packets without pixels are bytes.
+/// Bytes per number and numbers per pixel of a format. Packets without pixels count as bytes.
 fn numbers(format: u32) -> (usize, usize) {
     match format::of(format) {
         Some(known) if known.id == panoscope_abi::FORMAT_CLOUD => (4, known.pixel_bytes() / 4),
@@ -73,7 +74,7 @@ pub(crate) struct Packer {
     compressor: Compressor<'static>,
     planes: Vec<u8>,
     packed: Vec<u8>,
-    /// Places of earlier packets by fingerprint, hash of padded rows and length.
+    /// Offsets of earlier packets by fingerprint, hash of padded rows and length.
     places: HashMap<(u64, u64, u64), u64>,
     order: VecDeque<(u64, u64, u64)>,
 }
@@ -85,12 +86,12 @@ impl Packer {
         Ok(Self { compressor, planes, packed, places: HashMap::new(), order: VecDeque::new() })
     }
 
-    /// Where a packet with the same bytes is stored.
+    /// Offset of an earlier packet with the same bytes.
     pub fn place_of(&self, head: &PacketHead) -> Option<u64> {
         (head.len > REFERENCE_BYTES).then(|| self.places.get(&(head.hash, head.padded, head.len)).copied()).flatten()
     }
 
-    /// Remembers where the bytes of a packet are stored.
+    /// Keeps the offset of a packet's bytes.
     pub fn remember(&mut self, head: &PacketHead, at: u64) {
         let key = (head.hash, head.padded, head.len);
         if self.places.insert(key, at).is_none() {
@@ -103,7 +104,7 @@ impl Packer {
         }
     }
 
-    /// The compressed bytes; `None` where they are not shorter.
+    /// The compressed bytes; `None` if they are not shorter.
     pub fn pack(&mut self, format: u32, bytes: &[u8]) -> Option<&[u8]> {
         if bytes.len() < MIN_BYTES {
             return None;
@@ -122,7 +123,7 @@ impl Packer {
     }
 }
 
-/// Unpacks the bytes of a packet into `out`, which has their length. `None`: they are damaged.
+/// Unpacks the bytes of a packet into `out`, which has their length. `None` if they are damaged.
 pub(crate) fn unpack(format: u32, packed: &[u8], out: &mut [u8]) -> Option<()> {
     let (sum, packed) = packed.split_first_chunk::<SUM_BYTES>()?;
     if xxh3_64(packed) != u64::from_le_bytes(*sum) {

@@ -24,16 +24,17 @@ pub struct PortDifference {
     pub missing: usize,
     /// First tick that differs or is missing in one run: source slot and number.
     pub first: Option<(u32, u64)>,
-    /// By how much the differing packets differ, where both recordings contain them.
+    /// Amount of the differences, if both recordings contain the packets.
     pub amount: Option<Amount>,
     /// First tick that only one run has.
     first_missing: Option<(u32, u64)>,
 }
 
-/// By how much images, tables, clouds or bytes differ.
+/// Amount of differences of images, tables, clouds or bytes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Amount {
-    /// Largest absolute difference of two values; for clouds the largest distance of two points in mm. Unknown packet types are compared by bytes.
+    /// Largest absolute difference of two values; for clouds the largest distance of two points in mm. Unknown packet
+    /// types are compared by bytes.
     pub largest: f64,
     /// Mean absolute difference over all values of the differing packets.
     pub mean: f64,
@@ -45,7 +46,7 @@ pub struct Amount {
     pub content: Content,
 }
 
-/// The kind of content of the packets, and where it differs.
+/// Kind of the packets' content, and where it differs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Content {
     /// Images, or bytes of an unknown packet type.
@@ -59,7 +60,7 @@ pub enum Content {
         farthest: Option<(u64, usize, usize)>,
         /// Number of points that only one recording has, over all packets.
         only_in_one: u64,
-        /// Number of points whose colour differs.
+        /// Number of points with another colour.
         recoloured: u64,
     },
 }
@@ -130,8 +131,8 @@ pub fn compare(a: &Digests, b: &Digests) -> Vec<PortDifference> {
     ports.into_iter().map(one).collect()
 }
 
-/// Compares two recordings. Where both contain a port's packets, the result also says by how much they differ. Numbers of tables count as
-/// equal up to `tolerance` times the larger one (at least 1), points of clouds up to `tolerance` mm.
+/// Compares two recordings. Where both contain a port's packets, the result also says by how much they differ. Numbers
+/// of tables count as equal up to `tolerance` times the larger one (at least 1), points of clouds up to `tolerance` mm.
 ///
 /// # Errors
 /// One of them is damaged.

@@ -8,8 +8,8 @@ pub(super) fn is_equal(a: f64, b: f64, tolerance: f64) -> bool {
     (a.is_nan() && b.is_nan()) || a == b || (a - b).abs() <= tolerance * a.abs().max(b.abs()).max(1.0)
 }
 
-/// Reads a packet that is a table from its first byte to its last; `None` for all others. Packets do not name their type, but nothing
-/// else fills its length like that.
+/// Reads a packet that is a table from its first byte to its last; `None` for all others. Packets do not name their
+/// type, but no other type has this exact length.
 pub(super) fn table(bytes: &[u8]) -> Option<Table<'_>> {
     Table::parse(bytes).ok().filter(|table| {
         table.columns() > 0 && table.names().count() == table.columns() && table.byte_len() == bytes.len()
@@ -30,9 +30,9 @@ pub enum FirstCell {
 /// The difference between two packets of the same tick.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct PacketDifference {
-    /// Something differs by more than the tolerance.
+    /// Whether something differs by more than the tolerance.
     pub differs: bool,
-    /// They have different rows or columns, so they are compared only in part.
+    /// Whether their rows or columns differ, so that they are compared only in part.
     pub other_shape: bool,
     pub largest: f64,
     pub sum: f64,
@@ -80,8 +80,8 @@ pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> PacketDiff
     difference
 }
 
-/// Compares two clouds of the same size, point by point; distances and `tolerance` in mm. A point that was measured in one and filled in in the other is
-/// known to one only.
+/// Compares two clouds of the same size, point by point; distances and `tolerance` in mm. A point that is measured in
+/// one cloud and filled in the other counts as known to one only.
 pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> PacketDifference {
     let mut difference = PacketDifference::default();
     for y in 0..a.height() {

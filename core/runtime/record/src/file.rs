@@ -47,9 +47,9 @@ pub(crate) struct RecordFile {
     packer: Packer,
     /// Length up to the end of the last complete message.
     complete_len: u64,
-    /// Number of source ticks handed to the operating system.
+    /// Number of source ticks written to the operating system.
     ticks: u64,
-    /// Where each of the later source ticks ends.
+    /// Offset of the end of each later source tick.
     pending_ticks: VecDeque<u64>,
 }
 
@@ -74,7 +74,7 @@ impl RecordFile {
         Ok(this)
     }
 
-    /// Writes the buffer as a message; returns where it ends.
+    /// Writes the buffer as a message; returns the offset of its end.
     fn message(&mut self, header: &MessageHeader) -> io::Result<u64> {
         self.mcap.message(header, &self.buffer)?;
         let end = self.mcap.len();
@@ -105,7 +105,7 @@ impl RecordFile {
         Ok(())
     }
 
-    /// Writes a packet; with `compresses`, shorter where that is possible.
+    /// Writes a packet; with `compresses`, in compressed form if that is shorter.
     pub fn packet(&mut self, port: &str, frame: &FrameRef, hash: u64, compresses: bool) -> io::Result<()> {
         let (channel, sequence) = match self.channels.get_mut(port) {
             Some((channel, sequence)) => {
@@ -154,7 +154,7 @@ impl RecordFile {
         Ok(())
     }
 
-    /// Number of source ticks handed to the operating system.
+    /// Number of source ticks written to the operating system.
     pub fn ticks(&self) -> u64 {
         self.ticks
     }
@@ -164,7 +164,8 @@ impl RecordFile {
         self.mcap.finish()
     }
 
-    /// Ends the file after an error: removes an incomplete message. Returns the length of the file and the number of source ticks in it.
+    /// Ends the file after an error: removes an incomplete message. Returns the length of the file and the number of
+    /// source ticks in it.
     pub fn give_up(self) -> (u64, u64) {
         let mut output = self.mcap.into_output();
         let len = match output.seek(SeekFrom::End(0)) {
@@ -183,7 +184,8 @@ fn unix_ns() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
-/// Hides the secrets of addresses in all texts of an event: those of the graph, of its settings and of messages. A replay opens no source.
+/// Hides the secrets of addresses in all texts of an event: those of the graph, of its settings and of messages. A
+/// replay opens no source.
 fn without_secrets(value: &mut serde_json::Value) {
     match value {
         serde_json::Value::String(text) => {

@@ -1,11 +1,13 @@
-//! The format of a recording: an MCAP file (<https://mcap.dev/spec>), since format 5 in uncompressed chunks, see [`crate::mcap_file`]. Every record is
-//! complete or absent.
+//! The format of a recording: an MCAP file (<https://mcap.dev/spec>), since format 5 in uncompressed chunks, see
+//! [`crate::mcap_file`]. Every record is complete or absent.
 //!
-//! The channel [`EVENTS`] carries [`Event`]s as JSON. Every recorded port has a channel named `node.port`, whose messages are a
-//! [`PacketHead`] followed by the frame's bytes, stored as [`Coding`] says. The messages of a node are in the order in which they happened.
+//! The channel [`EVENTS`] carries [`Event`]s as JSON. Every recorded port has a channel named `node.port`, whose
+//! messages are a [`PacketHead`] followed by the frame's bytes, stored with a [`Coding`]. The messages of a node are in
+//! the order in which they happened.
 //!
-//! Since format 2 every message carries a checksum: an event as the last field of its JSON object (`xxh3`), a packet in its head. It covers
-//! the topic of the channel, MCAP's header of the message, and the event or the packet's head. The head contains the hashes of the packet's bytes.
+//! Since format 2 every message carries a checksum: an event as the last field of its JSON object (`xxh3`), a packet in
+//! its head. It covers the topic of the channel, MCAP's header of the message, and the event or the packet's head. The
+//! head contains the hashes of the packet's bytes.
 
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{Graph, ParamValue};
@@ -72,7 +74,7 @@ pub struct Head {
     pub machine: Machine,
     /// Start of the recording, in ms since 1970.
     pub unix_ms: u64,
-    /// Whether all ports of all nodes are in the recording, not only those of sources.
+    /// Whether all ports of all nodes are recorded, not only those of sources.
     pub all_ports: bool,
 }
 
@@ -92,7 +94,7 @@ pub enum Event {
         capture_ns: i64,
         /// Number of packets that belong to it.
         packets: u32,
-        /// The disk was too slow: the packets are not in the recording.
+        /// Whether the packets are missing because the disk was too slow.
         #[serde(default)]
         gap: bool,
     },
@@ -116,7 +118,7 @@ pub enum Event {
         /// The tick of each connection's packet, `None` where there was none.
         inputs: Vec<Option<(u32, u64)>>,
     },
-    /// What a node was answered when it asked when the light of its inputs arrived. Since format 3.
+    /// Input ages that a node received. Since format 3.
     Ages {
         /// The node.
         node: String,
@@ -140,7 +142,7 @@ pub enum Event {
         /// All its parameters, in declaration order.
         values: Vec<ParamValue>,
     },
-    /// A node was opened again before this tick: after a fault, or for values that require it.
+    /// A node was reopened before this tick, after a fault or for values that require it.
     Opened {
         /// The node.
         node: String,
@@ -151,7 +153,7 @@ pub enum Event {
         /// All its parameters, in declaration order.
         values: Vec<ParamValue>,
     },
-    /// A node skipped a tick although its inputs were there: it was down, failed, or was called too shortly before.
+    /// A node skipped a tick although its inputs were complete: it was down, failed, or over its rate limit.
     #[serde(rename = "left_out")]
     Skipped {
         /// The node.
@@ -160,7 +162,7 @@ pub enum Event {
         source: u32,
         /// The tick.
         seq: u64,
-        /// Its instance was closed.
+        /// Whether its instance was closed.
         closed: bool,
     },
     /// A parameter was set; an [`Event::Values`] or [`Event::Opened`] has the first tick with it.
@@ -223,22 +225,22 @@ impl From<observe::Event> for Event {
 pub(crate) const PLAIN_HEAD_BYTES: usize = 56;
 /// Bytes of a [`PacketHead`] since format 2: followed by the hash of padded rows and the checksum of the message.
 pub(crate) const PACKET_HEAD_BYTES: usize = 72;
-/// The bytes of it that the message's checksum covers.
+/// Number of bytes of a [`PacketHead`] that the message's checksum covers.
 pub(crate) const SUMMED_HEAD_BYTES: usize = 64;
 
-/// How the bytes of a packet are stored.
+/// Storage of a packet's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coding {
-    /// As they were in memory.
+    /// Uncompressed.
     Plain,
     /// Differences, compressed by zstd.
     Packed,
-    /// The place in the file where the same bytes are stored.
+    /// Offset in the file at which the same bytes are stored.
     Reference,
 }
 
 impl Coding {
-    /// As the head of a packet has it.
+    /// Number in the head of a packet.
     pub(crate) fn number(self) -> u32 {
         match self {
             Self::Plain => 0,
@@ -271,7 +273,7 @@ pub struct PacketHead {
     pub hash: u64,
     /// XXH3 of all bytes when rows are padded, else 0; `hash` does not cover the padding.
     pub padded: u64,
-    /// How the bytes are stored. Since format 4; plain before.
+    /// Storage of the bytes. Since format 4; plain before.
     pub coding: Coding,
 }
 
@@ -293,8 +295,7 @@ impl PacketHead {
         out.extend(self.padded.to_le_bytes());
     }
 
-    /// Reads a head of format 1, or the first part of a newer one.
-    /// `None`: the bytes are stored in an unknown way.
+    /// Reads a head of format 1, or the first part of a newer one. `None` if the storage is unknown.
     pub(crate) fn read(bytes: &[u8; PLAIN_HEAD_BYTES]) -> Option<Self> {
         let four = |at: usize| bytes[at..at + 4].iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
         let eight = |at: usize| bytes[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));

@@ -31,7 +31,7 @@ pub(crate) fn model_hashes(graph: &Graph, catalog: &Catalog) -> Vec<FileHash> {
     models
 }
 
-/// Makes the head of a recording of a graph that was read at `path` as `text` and checked with `settings`.
+/// Makes the head of a recording of a graph with `text` of the file `path`, checked with `settings`.
 pub fn head(graph: &Graph, catalog: &Catalog, loader: &Loader, path: &Path, text: &str, settings: &[String]) -> Head {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     Head {

@@ -1,9 +1,9 @@
 //! Records a run and replays it to the byte.
 //!
-//! A [`Recorder`] records what came from outside (the sources' packets, changes of the graph and of values) and what depended on time
-//! (which ticks were dropped, which packets met at inputs that are not `exact`, from which tick on a value or a new instance was used,
-//! which ticks a failed node skipped). A [`Replay`] repeats these. Everything else depends on the ticks only, because nodes see neither
-//! clock nor thread.
+//! A [`Recorder`] records input from outside (the sources' packets, changes of the graph and of values) and decisions
+//! that depended on time (which ticks were dropped, which packets met at inputs that are not `exact`, from which tick
+//! on a value or a new instance was used, which ticks a failed node skipped). A [`Replay`] repeats these. Everything
+//! else depends on the ticks only, because nodes have no access to clock or threads.
 
 mod check;
 mod coding;

@@ -1,8 +1,10 @@
-//! Writes MCAP (<https://mcap.dev/spec>) in uncompressed chunks whose records are in the file as soon as they are written.
+//! Writes MCAP (<https://mcap.dev/spec>) in uncompressed chunks whose records are in the file as soon as they are
+//! written.
 //!
-//! A chunk begins as an empty one: what follows are records outside chunks for every reader, so a run that is killed leaves a valid file up to its
-//! last complete record. When the chunk is full, its message indices are appended and then its head is written again with its length, times and checksum.
-//! Offsets within the file are those of a file without chunks, because nothing is compressed. An output that cannot seek gets no chunks.
+//! A chunk begins empty, so that for every reader the records after it are outside chunks, so a run that is killed
+//! leaves a valid file up to its last complete record. When the chunk is full, its message indices are appended and
+//! then its head is written again with its length, times and checksum. Offsets within the file are those of a file
+//! without chunks, because nothing is compressed. An output that cannot seek gets no chunks.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -12,9 +14,10 @@ use mcap::records::{MessageHeader, op};
 
 use crate::check::head_bytes;
 
-/// Length of the records from which on a chunk is full.
+/// Length of the records at which a chunk is full.
 const CHUNK_BYTES: u64 = 4 << 20;
-/// Bytes of the head of an uncompressed chunk, without those of the record: times, size, checksum, compression, length of the records.
+/// Bytes of the head of an uncompressed chunk, without those of the record: times, size, checksum, compression, length
+/// of the records.
 pub(crate) const CHUNK_HEAD_BYTES: usize = 40;
 /// Bytes of a record before its content: kind and length.
 const RECORD_HEAD_BYTES: usize = 9;
@@ -32,7 +35,7 @@ pub trait Output: Write + Seek + Send {
 
 /// A chunk that is being written.
 struct Chunk {
-    /// Where its record begins.
+    /// Offset of its record.
     at: u64,
     /// Checksum of its records.
     sum: Hasher,
@@ -42,7 +45,7 @@ struct Chunk {
 }
 
 impl Chunk {
-    /// Where its records begin.
+    /// Offset of its first record.
     fn begin(&self) -> u64 {
         self.at + (RECORD_HEAD_BYTES + CHUNK_HEAD_BYTES) as u64
     }
@@ -85,7 +88,7 @@ impl Body {
         values.iter().fold(self, |body, value| body.bytes(&value.to_le_bytes()))
     }
 
-    /// Bytes after their number.
+    /// Appends bytes, preceded by their count.
     fn counted(self, bytes: &[u8]) -> Self {
         self.u32(bytes.len() as u32).bytes(bytes)
     }
@@ -109,7 +112,7 @@ fn record(kind: u8, body: &Body) -> Vec<u8> {
     all
 }
 
-/// What a schema says.
+/// Content of a schema.
 #[derive(Clone, Copy)]
 pub(crate) struct Schema {
     pub id: u16,
@@ -119,13 +122,13 @@ pub(crate) struct Schema {
 }
 
 impl Schema {
-    /// The content of its record.
+    /// Content of its record.
     pub fn body(&self) -> Vec<u8> {
         Body::default().u16(self.id).text(self.name).text(self.encoding).text(self.data).0
     }
 }
 
-/// The content of a chunk's head.
+/// Content of a chunk's head.
 fn chunk_head([first, last]: [u64; 2], len: u64, sum: u32) -> Body {
     Body::default().u64s(&[first, last, len]).u32(sum).text("").u64s(&[len])
 }
@@ -133,9 +136,9 @@ fn chunk_head([first, last]: [u64; 2], len: u64, sum: u32) -> Body {
 /// An MCAP file that is being written.
 pub(crate) struct McapFile {
     out: BufWriter<Box<dyn Output>>,
-    /// Length of the file, with what is still in the buffer.
+    /// Length of the file, including the buffer.
     len: u64,
-    /// Checksum of what stands before the open chunk.
+    /// Checksum of the bytes before the open chunk.
     sum: Hasher,
     can_seek: bool,
     chunk: Option<Chunk>,
@@ -179,7 +182,7 @@ impl McapFile {
         Ok(this)
     }
 
-    /// Length of the file, with what is still in the buffer.
+    /// Length of the file, including the buffer.
     pub fn len(&self) -> u64 {
         self.len
     }
@@ -275,7 +278,7 @@ impl McapFile {
         Ok(())
     }
 
-    /// Hands what is buffered to the operating system.
+    /// Writes the buffer to the operating system.
     pub fn flush(&mut self) -> io::Result<()> {
         self.out.flush()
     }
@@ -324,7 +327,7 @@ impl McapFile {
         Ok(self.len)
     }
 
-    /// Gives the output back; what is still in the buffer is lost.
+    /// Returns the output; the buffer is lost.
     pub fn into_output(self) -> Box<dyn Output> {
         self.out.into_parts().0
     }

@@ -1,5 +1,5 @@
-//! The records of MCAP that hold texts. Their lengths are compared with the record before anything is allocated: a length of four bytes in a
-//! small damaged file can say four gigabytes.
+//! The records of MCAP that hold texts. Their lengths are compared with the record before anything is allocated: a
+//! four-byte length in a small damaged file can claim four gigabytes.
 
 /// A channel record, as far as recordings use it.
 pub(crate) struct Channel {

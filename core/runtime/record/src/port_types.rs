@@ -1,4 +1,5 @@
-//! Which packet type each recorded port has. Packets store their format, not their type: the plugins of the recorded graph name it.
+//! Which packet type each recorded port has. Packets store their format, not their type: the plugins of the recorded
+//! graph name it.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -9,7 +10,7 @@ use panoscope_host::loader::Loader;
 use crate::format::{Event, Head};
 use crate::recording::Recording;
 
-/// Why the type of a port is not known.
+/// A port whose type is not known.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PortTypeError {
     /// No graph of the recording has the node.
@@ -25,10 +26,10 @@ pub enum PortTypeError {
         plugin: String,
         /// The port.
         port: String,
-        /// Why it cannot be used.
+        /// Reason.
         reason: String,
     },
-    /// The plugin is another version.
+    /// The plugin is of another version.
     #[error("type `{node_type}` has no output `{output}` here; use the plugins of the recording")]
     Output {
         /// The node type.
@@ -38,12 +39,12 @@ pub enum PortTypeError {
     },
 }
 
-/// The folders with plugins that the recorded graph names. Loading one of these runs its code.
+/// The folders with plugins that the recorded graph names. Loading one of these plugins runs its code.
 pub fn own_folders(head: &Head) -> Vec<PathBuf> {
     GraphText::parse(Path::new(&head.graph_path), &head.text).plugin_paths()
 }
 
-/// The packet types of the ports of a recording. Plugins are loaded when the first type is asked for.
+/// The packet types of the ports of a recording. Plugins are loaded with the first request.
 pub struct PortTypes {
     recording: Arc<Recording>,
     loader: Loader,
@@ -52,7 +53,7 @@ pub struct PortTypes {
 }
 
 impl PortTypes {
-    /// The types by the plugins that `loader` finds.
+    /// The types by the plugins of `loader`.
     pub fn new(recording: Arc<Recording>, loader: Loader) -> Self {
         let catalogs = graphs(&recording).map(|_| OnceLock::new()).collect();
         Self { recording, loader, catalogs }
@@ -66,7 +67,7 @@ impl PortTypes {
     /// Name of the packet type of `port`, which is `node.output`.
     ///
     /// # Errors
-    /// The recording has no such node, or its plugin is missing or another one.
+    /// The recording has no such node, or its plugin is missing or differs.
     pub fn packet(&self, port: &str) -> Result<&str, PortTypeError> {
         let (node, output) = port.rsplit_once('.').unwrap_or((port, ""));
         let mut result = Err(PortTypeError::Node { node: node.to_owned() });
@@ -112,7 +113,7 @@ impl PortTypes {
     }
 }
 
-/// The recorded graph and those that it was changed to.
+/// The recorded graph and its changed versions.
 fn graphs(recording: &Recording) -> impl Iterator<Item = &Graph> {
     let changed = recording.events.iter().filter_map(|event| match event {
         Event::Edit { graph, .. } => Some(graph.as_ref()),

@@ -1,8 +1,8 @@
 //! Records the events and packets of an engine without blocking it.
 //!
-//! The engine's threads only append to a queue; one thread hashes and writes. Events are never lost. Queued packets occupy frame memory:
-//! when the queue is full, the packets of a tick are skipped and a gap is recorded in their place. A disk that takes nothing until
-//! hundreds of thousands of items wait ends the recording, not the run.
+//! The engine's threads only append to a queue; one thread hashes and writes. Events are never lost. Queued packets
+//! occupy frame memory: when the queue is full, the packets of a tick are skipped and a gap is recorded in their place.
+//! A disk that stalls until hundreds of thousands of items wait ends the recording, not the run.
 
 use std::collections::{HashMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -24,13 +24,13 @@ use crate::format::{Event, Head};
 use crate::mcap_file::Output;
 use panoscope_engine::memory::FrameRef;
 
-/// Packets are compressed while no more bytes of frames than these wait.
+/// Packets are compressed while at most this many bytes of frames wait.
 const SHORT_QUEUE_BYTES: usize = 64 << 20;
 
 /// Events and packets that may wait for the disk: some minutes of a stall, below 100 MB.
 const MAX_QUEUED_ITEMS: usize = 1 << 18;
 
-/// How a run is recorded.
+/// Settings of a recording.
 pub struct RecordOptions {
     /// The recording; `None` for fingerprints only.
     pub file: Option<PathBuf>,
@@ -38,11 +38,12 @@ pub struct RecordOptions {
     pub digests: bool,
     /// Whether to record all ports of all nodes, not only those of sources.
     pub all_ports: bool,
-    /// Whether sources make all their outputs, also those without a reader, so that other graphs can be replayed on the recording.
+    /// Whether sources make all their outputs, also those without a reader, so that other graphs can be replayed on the
+    /// recording.
     pub all_source_ports: bool,
     /// Whether nodes make all their outputs, also those without a reader, because the run that is replayed did.
     pub all_outputs: bool,
-    /// Whether packets are compressed while the disk keeps up, and stored once where their bytes are the same.
+    /// Whether packets are compressed while the disk keeps up, and equal packets stored once.
     pub compresses: bool,
     /// Maximum number of bytes of frames in the queue to the disk.
     pub max_queued_bytes: usize,
@@ -62,7 +63,7 @@ impl Default for RecordOptions {
     }
 }
 
-/// Why a recording could not be started.
+/// A recording that could not be started.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// The operating system refused.
@@ -78,7 +79,7 @@ pub enum RecordError {
     Locked(#[from] OutputLocked),
 }
 
-/// Why a recording ends whose disk takes nothing.
+/// Reason for the end of a recording whose disk stalls.
 const STALLED: &str = "the disk has stalled, and more events wait than memory may hold";
 
 /// The result of a recording.
@@ -90,7 +91,7 @@ pub struct Recorded {
     pub ticks: u64,
     /// Number of source ticks skipped because the disk was too slow.
     pub gaps: u64,
-    /// Why writing stopped before the end of the run; `None` when it did not.
+    /// Reason why writing stopped before the end of the run; `None` if it did not.
     pub failed: Option<String>,
     /// Fingerprints, if the options ask for them.
     pub digests: Option<Digests>,
@@ -98,11 +99,11 @@ pub struct Recorded {
 
 enum Item {
     Event(Event),
-    /// As the engine reports it: files that it names are hashed when it is written.
+    /// An event of the engine; files that it names are hashed when it is written.
     Observed(observe::Event),
     /// `node.port`, packet, and whether the packet is written to the file.
     Packet(Arc<str>, FrameRef, bool),
-    /// `node.port` and fingerprint of a packet that did not fit into the queue.
+    /// `node.port` and fingerprint of a packet that did not fit in the queue.
     Digest(Arc<str>, PacketDigest),
 }
 
@@ -125,14 +126,14 @@ struct Inner {
     writes: AtomicBool,
     /// Maximum number of events and packets in the queue.
     max_queued_items: usize,
-    /// Whether the disk took nothing for so long that the queue was thrown away.
+    /// Whether the disk stalled for so long that the queue was discarded.
     has_stalled: AtomicBool,
     report: OnceLock<Box<ReportFn>>,
-    /// Messages from before `report` was set.
+    /// Messages before `report` was set.
     unreported: Mutex<Vec<String>>,
 }
 
-/// The outputs of one instance of a node: another type with other outputs may have the node's name later.
+/// The outputs of one instance of a node; a later node of this name may have another type with other outputs.
 #[derive(Clone)]
 struct Ports {
     names: Arc<[String]>,
@@ -434,12 +435,12 @@ impl Inner {
         recorded
     }
 
-    /// Whether there is time to compress: a long queue is written as it is, before packets have to be left out.
+    /// Whether there is time to compress; a long queue is written uncompressed, before packets have to be dropped.
     fn compresses(&self) -> bool {
         self.options.compresses && lock(&self.queue).bytes <= SHORT_QUEUE_BYTES.min(self.options.max_queued_bytes / 8)
     }
 
-    /// Ends the recording after an error of the disk; the run goes on without it.
+    /// Ends the recording after an error of the disk; the run continues without it.
     fn give_up(&self, file: &mut Option<RecordFile>, cause: &std::io::Error, recorded: &mut Recorded) {
         let Some(file) = file.take() else { return };
         let is_news = self.writes.swap(false, Ordering::Relaxed);

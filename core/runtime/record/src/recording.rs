@@ -1,4 +1,4 @@
-//! Reads a recording: scans it once, and loads packets when they are needed.
+//! Reads a recording: scans it once, and loads packets on demand.
 //!
 //! A truncated file ends at its last complete message. Damage ends it too, and its position is reported.
 
@@ -30,10 +30,10 @@ const FOOTER_BYTES: usize = 9 + 20;
 const MAX_EVENT: u64 = 256 << 20;
 /// Maximum length of a packet.
 const MAX_PACKET: u64 = 1 << 30;
-/// Maximum length of a packet that takes less space in the file: a short file must not take all memory.
+/// Maximum length of a packet that is compressed in the file, because a short file must not exhaust memory.
 const MAX_PACKED: u64 = 1 << 28;
 
-/// Why a recording cannot be used.
+/// A recording that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file cannot be read.
@@ -67,7 +67,7 @@ pub enum RecordingError {
         bytes: u64,
     },
     /// Written by another version.
-    #[error("{} is a recording of format {found}, this program reads formats {OLDEST_FORMAT} to {FORMAT}: use panoscope {version}", .file.display())]
+    #[error("{} has recording format {found}, but this program reads formats {OLDEST_FORMAT} to {FORMAT}: use panoscope {version}", .file.display())]
     OtherFormat {
         /// The file.
         file: PathBuf,
@@ -76,8 +76,8 @@ pub enum RecordingError {
         /// Version that wrote it.
         version: String,
     },
-    /// A packet is not what was written.
-    #[error("{} is damaged at byte {at}: packet {seq} of `{port}` is not what was recorded", .file.display())]
+    /// A packet is damaged.
+    #[error("{} is damaged at byte {at}: packet {seq} of `{port}` was altered", .file.display())]
     Damaged {
         /// The file.
         file: PathBuf,
@@ -89,13 +89,13 @@ pub enum RecordingError {
         seq: u64,
     },
     /// Frame memory is exhausted.
-    #[error("packet {seq} of `{port}` does not fit into frame memory: {reason}")]
+    #[error("packet {seq} of `{port}` cannot be put into frame memory: {reason}")]
     Memory {
         /// The port.
         port: String,
         /// The tick.
         seq: u64,
-        /// What is wrong.
+        /// Description of the problem.
         reason: String,
     },
 }
@@ -105,11 +105,11 @@ pub enum RecordingError {
 pub struct Packet {
     /// The packet's description.
     pub head: PacketHead,
-    /// Offset in the file of the bytes that are stored of it.
+    /// Offset in the file of its stored bytes.
     pub at: u64,
-    /// Their number.
+    /// Number of stored bytes.
     pub stored: u64,
-    /// How they are stored.
+    /// Storage of the bytes.
     pub coding: Coding,
 }
 
@@ -128,14 +128,14 @@ pub struct SourceTick {
     pub packets: Vec<(String, Packet)>,
 }
 
-/// Where and why a recording ends early.
+/// Offset and reason of an early end of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
     /// Length of the usable part in bytes.
     pub at: u64,
-    /// What was found there instead of a message.
+    /// Content found there instead of a message.
     pub reason: String,
-    /// Whether it is damaged there, not truncated: then recorded data after this point is lost.
+    /// Whether it is damaged there and not truncated, so that recorded data after this point is lost.
     pub damaged: bool,
 }
 
@@ -152,7 +152,7 @@ pub struct Recording {
     pub sources: BTreeMap<String, Vec<SourceTick>>,
     /// Packets of each recorded port, by `node.port`.
     pub ports: BTreeMap<String, Vec<Packet>>,
-    /// Where it was truncated or damaged; `None` when it is complete.
+    /// Position of truncation or damage; `None` when it is complete.
     pub cut: Option<Cut>,
     /// Whether its messages have checksums; those of format 1 do not.
     pub checked: bool,
@@ -177,11 +177,11 @@ struct Scan {
     pending: HashMap<String, Vec<(String, Packet)>>,
     /// Length and checksum of the data section, if it has one.
     data_sum: Option<(u64, u32)>,
-    /// Packets whose bytes are stored, by their place: how, in how many bytes, and of how many.
+    /// Packets with stored bytes, by offset: storage, stored length and length.
     places: HashMap<u64, (Coding, u64, u64)>,
 }
 
-/// Why the scan ends.
+/// End of the scan.
 enum Stop {
     End,
     Cut(String),
@@ -205,8 +205,8 @@ impl Recording {
     /// Opens and scans a recording.
     ///
     /// # Errors
-    /// The file is not a recording, or no part of it can be used. A truncated or damaged recording can be used up to that point, see
-    /// [`Self::cut`].
+    /// The file is not a recording, or no part of it can be used. A truncated or damaged recording can be used up to
+    /// that point, see [`Self::cut`].
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let unreadable = |cause| RecordingError::Unreadable { file: path.to_owned(), cause };
         let file = File::open(path).map_err(unreadable)?;
@@ -297,7 +297,7 @@ impl Recording {
         )
     }
 
-    /// Where the data ends, if its checksum is not what was recorded.
+    /// Checks the data section; returns its end if its checksum is wrong.
     fn verify_data(&self) -> std::io::Result<Option<u64>> {
         let Some((len, sum)) = self.data_sum else { return Ok(None) };
         let (mut hash, mut bytes) = (crc32fast::Hasher::new(), vec![0; 1 << 20]);
@@ -322,7 +322,7 @@ impl Recording {
         self.sources.values().map(Vec::len).sum()
     }
 
-    /// Reads the bytes of a packet and checks them.
+    /// Reads and checks the bytes of a packet.
     pub fn bytes(&self, port: &str, packet: &Packet) -> Result<Vec<u8>, RecordingError> {
         let mut bytes = vec![0; packet.head.len as usize];
         self.read(port, packet, &mut bytes)?;
@@ -412,7 +412,7 @@ impl Scan {
         Ok(body)
     }
 
-    /// Reads one record and moves `at` behind it if it is complete.
+    /// Reads one record and moves `at` past it if it is complete.
     fn record(&mut self) -> Result<(), Stop> {
         if self.at == self.len {
             return Err(Stop::Cut("it was not finished".to_owned()));
@@ -440,7 +440,7 @@ impl Scan {
             op::CHANNEL if len < 1 << 16 => {
                 let body = self.body(len)?;
                 let Some(channel) = mcap_texts::channel(&body) else {
-                    return Err(damaged("a channel that cannot be read"));
+                    return Err(damaged("a channel cannot be read"));
                 };
                 let events = channel.topic == EVENTS;
                 let schema = SCHEMAS[usize::from(!events)].id;
@@ -461,14 +461,14 @@ impl Scan {
             op::HEADER if self.at == mcap::MAGIC.len() as u64 && len < 1 << 16 => {
                 let body = self.body(len)?;
                 let Some((profile, library)) = mcap_texts::header(&body) else {
-                    return Err(damaged("a header that cannot be read"));
+                    return Err(damaged("its header cannot be read"));
                 };
                 self.library = format!("{profile} {library}");
             }
             op::SCHEMA if self.is_ours() && len < 1 << 16 => {
                 let body = self.body(len)?;
                 if !SCHEMAS.iter().any(|schema| schema.body() == body) {
-                    return Err(damaged("a schema that is not what was recorded"));
+                    return Err(damaged("a schema was altered"));
                 }
             }
             op::MESSAGE_INDEX if self.is_ours() => self.skip(len)?,
@@ -487,7 +487,7 @@ impl Scan {
         let channel = u16::from_le_bytes([message[0], message[1]]);
         let rest = len - MESSAGE_HEAD_BYTES as u64;
         let Some((topic, packets)) = self.channels.get(&channel).cloned() else {
-            return if self.head.is_some() { Err(damaged("a message without a channel")) } else { self.skip(rest) };
+            return if self.head.is_some() { Err(damaged("a message has no channel")) } else { self.skip(rest) };
         };
         if !packets {
             if rest > MAX_EVENT {
@@ -497,12 +497,12 @@ impl Scan {
             let seal = check::unseal(&topic, &message, &mut body);
             let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
             if seal == Seal::Broken || (seal == Seal::None && checked) {
-                return Err(damaged("an event is not what was recorded"));
+                return Err(damaged("an event was altered"));
             }
-            let event = serde_json::from_slice(&body).map_err(|_| damaged("an event that cannot be read"));
+            let event = serde_json::from_slice(&body).map_err(|_| damaged("an event cannot be read"));
             return match event {
                 Ok(Event::Head(head)) if seal == Seal::None && head.format >= CHECKED_FORMAT => {
-                    Err(damaged("its head is not what was recorded"))
+                    Err(damaged("its head was altered"))
                 }
                 Ok(event) => self.event(event),
                 Err(stop) if self.head.is_some() => Err(stop),
@@ -512,20 +512,20 @@ impl Scan {
         let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
         let head_bytes = if checked { PACKET_HEAD_BYTES } else { PLAIN_HEAD_BYTES };
         if rest < head_bytes as u64 {
-            return Err(damaged("a packet without a head"));
+            return Err(damaged("a packet has no head"));
         }
         let mut packet_head = [0; PACKET_HEAD_BYTES];
         self.reader.read_exact(&mut packet_head[..head_bytes])?;
         let (plain, more) = packet_head.split_at(PLAIN_HEAD_BYTES);
-        let plain = plain.try_into().map_err(|_| damaged("a packet without a head"))?;
+        let plain = plain.try_into().map_err(|_| damaged("a packet has no head"))?;
         let Some(mut head) = PacketHead::read(plain) else {
-            return Err(damaged("a packet is stored in an unknown way"));
+            return Err(damaged("the storage of a packet is unknown"));
         };
         if checked {
             let eight = |at: usize| more[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
             head.padded = eight(0);
             if check::sum(&topic, &message, &packet_head[..SUMMED_HEAD_BYTES]) != eight(8) {
-                return Err(damaged("the description of a packet is not what was recorded"));
+                return Err(damaged("the description of a packet was altered"));
             }
         }
         let stored = rest - head_bytes as u64;
@@ -542,7 +542,7 @@ impl Scan {
             let mut place = [0; REFERENCE_BYTES as usize];
             self.reader.read_exact(&mut place)?;
             let Some(&(coding, stored, len)) = self.places.get(&u64::from_le_bytes(place)) else {
-                return Err(damaged("a packet refers to one that is not there"));
+                return Err(damaged("a packet refers to a missing one"));
             };
             if len != head.len {
                 return Err(damaged("a packet refers to one of another length"));
@@ -553,13 +553,13 @@ impl Scan {
             self.places.insert(at, (head.coding, stored, head.len));
             Packet { head, at, stored, coding: head.coding }
         };
-        let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port without a node")) };
+        let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port has no node")) };
         self.pending.entry(node.to_owned()).or_default().push((port.to_owned(), packet));
         self.ports.entry(topic).or_default().push(packet);
         Ok(())
     }
 
-    /// Checks MCAP's index behind the data, which has its own checksum. Returns how the recording ends.
+    /// Checks MCAP's index after the data, which has its own checksum. Returns how the recording ends.
     fn index(&mut self, end_len: u64) -> Stop {
         let read = |this: &mut Self, len: u64| if len > MAX_INDEX { Ok(Vec::new()) } else { this.body(len) };
         let end = match read(self, end_len) {
@@ -588,7 +588,7 @@ impl Scan {
         if whole { Stop::End } else { Stop::Damaged("its index is not what was recorded".to_owned()) }
     }
 
-    /// The reason when a head cannot be read: it may be of another version.
+    /// The reason why a head cannot be read, such as another version.
     fn foreign_head(&self, body: &[u8]) -> Stop {
         let value: serde_json::Value = serde_json::from_slice(body).unwrap_or_default();
         let format = value.get("format").and_then(serde_json::Value::as_u64);
@@ -606,7 +606,7 @@ impl Scan {
                     return Err(Stop::OtherFormat(head.format, head.version));
                 }
                 if head.format >= CHECKED_FORMAT && self.library != format!("panoscope panoscope {}", head.version) {
-                    return Err(Stop::Damaged("its header is not what was recorded".to_owned()));
+                    return Err(Stop::Damaged("its header was altered".to_owned()));
                 }
                 self.head = Some(*head);
             }

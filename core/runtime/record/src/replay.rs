@@ -15,16 +15,16 @@ use panoscope_engine::decide::Decider;
 use panoscope_engine::{Engine, Options, StartError};
 use panoscope_host::loader::{self as loader, Loader};
 
-/// How a recording is replayed.
+/// Options of a replay.
 #[derive(Default)]
 pub struct ReplayOptions {
     /// Path and text of another graph; `None` for the recorded one.
     pub graph: Option<(PathBuf, String)>,
     /// `node.param=value` settings; override the recorded values.
     pub settings: Vec<String>,
-    /// Whether nodes with side effects run, which write files or move an arm. Otherwise they are skipped.
+    /// Whether nodes with side effects, which write files or move an arm, run; otherwise they are skipped.
     pub act: bool,
-    /// How to record the replay itself; `None` to not record it.
+    /// Options for recording the replay itself; `None`: not recorded.
     pub record: Option<RecordOptions>,
     /// The loader of plugins; `None` to search for them.
     pub loader: Option<Arc<Loader>>,
@@ -32,11 +32,11 @@ pub struct ReplayOptions {
     pub engine: Options,
 }
 
-/// Why a recording was not replayed, or not to its end.
+/// A replay that failed or ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
     /// The graph has mistakes with the plugins and files of this machine.
-    #[error("the graph does not fit this machine's plugins and files:\n{}", .0.render(false))]
+    #[error("the graph does not match this machine's plugins and files:\n{}", .0.render(false))]
     Check(Diagnostics),
     /// The engine did not start.
     #[error(transparent)]
@@ -65,11 +65,11 @@ pub enum ReplayError {
         recorded: String,
     },
     /// A recorded change does not fit the plugins of this machine.
-    #[error("change {number} of the recording does not fit: {cause}; replay with the plugins of the recording")]
+    #[error("change {number} of the recording does not match: {cause}; replay with the plugins of the recording")]
     Stale {
         /// Number of the change, from 1.
         number: usize,
-        /// What does not fit.
+        /// Description of the difference.
         cause: StaleError,
     },
     /// A recorded change could not be applied.
@@ -77,18 +77,18 @@ pub enum ReplayError {
     Edit {
         /// Number of the change, from 1.
         number: usize,
-        /// Why it could not be applied.
+        /// Reason for which it was not applied.
         cause: ApplyError,
     },
     /// A part of the recording could not be replayed.
     #[error("{reason}")]
     Incomplete {
-        /// Which part, and why.
+        /// The part and the reason.
         reason: String,
     },
 }
 
-/// Why a recorded graph does not fit the plugins of this machine.
+/// A recorded graph that does not fit the plugins of this machine.
 #[derive(Debug, thiserror::Error)]
 pub enum StaleError {
     /// No plugin has the node type.
@@ -123,9 +123,9 @@ pub struct Replay {
     script: Arc<Script>,
     loader: Arc<Loader>,
     recorder: Option<Arc<Recorder>>,
-    /// Message about the early end of the recording, which it has from damage or a run that was cut off.
+    /// Message about an early end of the recording, by damage or an interrupted run.
     cut: Option<String>,
-    /// What differs from the machine and files of the recording.
+    /// Differences from the machine and files of the recording.
     pub warnings: Vec<String>,
 }
 
@@ -239,7 +239,8 @@ impl Replay {
     }
 }
 
-/// Maps each source of the graph to a recorded source; for the recording's own graph also sources that were added later.
+/// Maps each source of the graph to a recorded source; for the recording's own graph also sources that were added
+/// later.
 fn sources(
     graph: &Graph,
     catalog: &Catalog,
@@ -327,7 +328,7 @@ fn resolve(graph: &mut Graph, catalog: &Catalog) -> Result<(), StaleError> {
     Ok(())
 }
 
-/// Warnings about why the bytes of a replay may differ from the recorded run.
+/// Warnings of differences that may change the bytes of a replay.
 fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: &Loader, other: bool) -> Vec<String> {
     let mut warnings = Vec::new();
     if !recording.checked {

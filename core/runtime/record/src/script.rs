@@ -1,7 +1,8 @@
-//! The decisions that a replay repeats: which ticks enter, which packets meet, with which values and instances nodes run.
+//! The decisions that a replay repeats: which ticks enter, which packets meet, with which values and instances nodes
+//! run.
 //!
-//! The recording contains every decision of the run that depended on time. The script looks them up instead of deciding again.
-//! Everything else depends on the ticks only.
+//! The recording contains every decision of the run that depended on time. The script looks them up instead of deciding
+//! again. Everything else depends on the ticks only.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -63,7 +64,7 @@ struct HeadScript {
     edits: Vec<(u64, usize)>,
 }
 
-/// The decisions of a recording, by node.
+/// Input ages by node, then by slot of the source and number of the tick.
 pub struct Script {
     recording: Arc<Recording>,
     sources: HashMap<String, SourceScript>,
@@ -85,7 +86,8 @@ pub struct Script {
 }
 
 impl Script {
-    /// The script of a recording: for its own graph, or for another one whose sources are called `names` in the recording.
+    /// The script of a recording: for its own graph, or for another one whose sources are called `names` in the
+    /// recording.
     pub(crate) fn new(
         recording: Arc<Recording>,
         names: &BTreeMap<String, String>,
@@ -180,7 +182,7 @@ impl Script {
         values
     }
 
-    /// Why the replay ended early, if it did.
+    /// Reason of an early end of the replay, if there was one.
     pub fn failure(&self) -> Option<&str> {
         self.failed.get().map(String::as_str)
     }

@@ -1,7 +1,8 @@
-//! Every operation on the file of a recording fails in turn; all ticks that were reported as recorded must be readable afterwards.
+//! Every operation on the file of a recording fails in turn; all ticks that were reported as recorded must be readable
+//! afterwards.
 //!
-//! The faults come from `tests/c/disk_faults.c`, preloaded into child processes of this test, each of which runs one case.
-//! `PANOSCOPE_DISK_TICKS` sets how many ticks are recorded (5 without it).
+//! The faults come from `tests/c/disk_faults.c`, preloaded into child processes of this test, each of which runs one
+//! case. `PANOSCOPE_DISK_TICKS` sets how many ticks are recorded (5 without it).
 
 use std::ffi::CString;
 use std::path::{Path, PathBuf};

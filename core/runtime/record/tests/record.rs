@@ -624,7 +624,7 @@ fn a_recorded_packet_that_its_source_may_not_put_out_is_withheld() {
     let ticks = recording.sources["a"].iter().filter(|t| t.admitted).count() as u64;
     assert_eq!((report.nodes["a"].faults, report.nodes["end"].count), (1, ticks - 1), "{:?}", report.nodes);
     let faults = replay.engine().recent_faults();
-    assert!(faults.iter().any(|f| f.node == "a" && f.words.contains("3 bytes a row does not fit")), "{faults:?}");
+    assert!(faults.iter().any(|f| f.node == "a" && f.words.contains("3 bytes per row does not match")), "{faults:?}");
 }
 
 #[test]
@@ -757,7 +757,7 @@ fn a_change_switches_at_the_named_tick() {
     let passed = engine.apply_at(graph.clone(), &catalog, &loader, &[("a".to_owned(), 1)]);
     assert!(passed.is_err_and(|e| e.to_string().contains("has passed")));
     let unknown = engine.apply_at(graph.clone(), &catalog, &loader, &[("nobody".to_owned(), 1)]);
-    assert!(unknown.is_err_and(|e| e.to_string().contains("`nobody` is no source")));
+    assert!(unknown.is_err_and(|e| e.to_string().contains("`nobody` is not a source")));
     let at = run.made("a") + 60;
     // The loader is another one, but the plugin's file is the same: its nodes are replaced, which is a change as well.
     let applied = engine.apply_at(graph, &catalog, &loader, &[("a".to_owned(), at)]).expect("a good change");

@@ -1,4 +1,5 @@
-//! Connects a window to a running graph of another machine. Its parent is the window and gives it a socket as standard input.
+//! Connects a window to a running graph of another machine. Its parent is the window and gives it a socket as standard
+//! input.
 
 use std::io::BufReader;
 use std::os::unix::net::UnixStream;
@@ -20,7 +21,7 @@ use crate::keys;
 use crate::link::{leave, lose, reach};
 use crate::network;
 
-/// Probes of the clock in the time in which the machine counts as lost.
+/// Probes of the clock within the machine's timeout.
 const PROBES: u32 = 10;
 
 struct Connection {
@@ -33,10 +34,10 @@ struct Connection {
     timeout: Duration,
 }
 
-/// Carries frames until the window ends; ends the process with words where the machine is lost.
+/// Carries frames until the window ends; ends the process with a message if the machine is lost.
 ///
 /// # Errors
-/// The program was started wrongly.
+/// The program was started with invalid arguments.
 pub fn run(address: &str, timeout_ms: &str, plaintext: bool, name: &str) -> Result<(), RemoteError> {
     let parent = parent()?;
     let timeout_ms: u32 =
@@ -108,7 +109,7 @@ impl Connection {
         }
     }
 
-    /// The answer to a probe: when it was sent, and the clock there.
+    /// Measures the clock with the answer to a probe: send time and remote clock.
     fn measure(&self, sample: &Sample) {
         let now_ns = system_ns();
         let clock = {

@@ -1,4 +1,5 @@
-//! Listens for windows of other machines on a running graph. Its parent runs the graph and gives it a socket as standard input.
+//! Listens for windows of other machines on a running graph. Its parent runs the graph and gives it a socket as
+//! standard input.
 
 use std::collections::HashMap;
 use std::io::{self, BufReader};
@@ -22,20 +23,20 @@ use crate::network::{self, Address, UNNAMED};
 
 /// Maximum number of windows at a time.
 const MAX_WINDOWS: usize = 16;
-/// A window that was silent for so many times its own limit is gone.
+/// Multiple of a window's own timeout after which it counts as gone.
 const PATIENCE: u32 = 2;
-/// A window that takes no message for so long reads nothing any more.
+/// Time without reading a message after which a window counts as stuck.
 const MAX_STUCK: Duration = Duration::from_secs(10);
-/// Between two looks for windows that are gone.
+/// Time between two checks for lost windows.
 const LOOK: Duration = Duration::from_millis(100);
 /// Name of a machine without certificates for its windows.
 const NO_NAME: &str = "engine";
 
-/// First byte of a message: the sides get to know each other.
+/// First byte of a message: greeting.
 pub(crate) const HELLO: u8 = 1;
 /// A frame's content.
 pub(crate) const DATA: u8 = 2;
-/// The end, with the reason.
+/// The end of the connection, with the reason.
 pub(crate) const BYE: u8 = 3;
 
 /// The socket that the parent left as standard input.
@@ -53,7 +54,7 @@ pub(crate) fn message(kind: u8, content: Vec<u8>) -> ZBytes {
     bytes.finish()
 }
 
-/// Takes a message apart.
+/// Splits a message into its first byte and its content.
 pub(crate) fn split(sample: &Sample) -> Option<(u8, Vec<u8>)> {
     let bytes = sample.payload().to_bytes();
     let (kind, content) = bytes.split_first()?;
@@ -64,7 +65,7 @@ struct Window {
     host: String,
     id: String,
     out: Queue,
-    /// Since when the message waits that is being sent, ns; 0 between two messages.
+    /// Begin of the current send, ns; 0 between two messages.
     sending_ns: AtomicI64,
     heard_ns: AtomicI64,
     patience: Duration,
@@ -78,10 +79,10 @@ struct Shared {
     next: AtomicU32,
 }
 
-/// Listens until the parent ends. `name` is the one of the keys where it is empty.
+/// Listens until the parent ends. If `name` is empty, the name in the keys is used.
 ///
 /// # Errors
-/// The address cannot be listened at, or names and keys are missing.
+/// The address cannot be used, or names and keys are missing.
 pub fn run(
     name: &str,
     address: &str,
@@ -190,7 +191,7 @@ impl Shared {
         }
     }
 
-    /// A window has come: it says what it is, and how long it may be silent.
+    /// Begins the session of a window, whose greeting states its version and timeout.
     fn begin(self: &Arc<Self>, host: &str, id: &str, hello: &[u8]) {
         let up = match network::publisher(&self.session, self.key(host, id, "up"), false) {
             Ok(up) => up,
@@ -235,7 +236,7 @@ impl Shared {
         }
     }
 
-    /// Lets windows go of which nothing is heard.
+    /// Closes windows that are silent for too long.
     fn watch(&self) {
         loop {
             std::thread::sleep(LOOK);
@@ -260,7 +261,7 @@ impl Shared {
     }
 }
 
-/// Sends messages to a window until it is let go.
+/// Sends messages to a window until it is closed.
 fn write(up: &zenoh::pubsub::Publisher<'static>, window: &Window) {
     while let Some(frame) = window.out.pop() {
         let kind = match frame.kind {

@@ -1,12 +1,12 @@
-//! The offset of another machine's clock, from probes that go there and back.
+//! The offset of another machine's clock, from round-trip probes.
 //!
-//! Each probe bounds the offset: the other clock was read at some moment between sending and receiving (Cristian's method). The probe with the
-//! shortest way bounds it best; an older one bounds it less, because clocks drift. So the best of the last probes counts, each with an allowance for
-//! its age, as NTP's clock filter does.
+//! Each probe bounds the offset: the other clock was read at some moment between sending and receiving (Cristian's
+//! method). The probe with the shortest round trip bounds it best; an older one bounds it less, because clocks drift.
+//! So the best of the last probes is used, each with an allowance for its age, as NTP's clock filter does.
 
 use std::collections::VecDeque;
 
-/// Probes that are kept.
+/// Number of probes that are kept.
 const PROBES: usize = 64;
 /// Largest drift of two clocks against each other: 100 ppm.
 const DRIFT: i64 = 10_000;
@@ -26,7 +26,8 @@ pub struct Offset {
 }
 
 impl Offset {
-    /// A probe was sent at `sent_ns` and its answer received at `received_ns`, both of this machine's clock; the other clock showed `there_ns`.
+    /// Adds a probe that was sent at `sent_ns` and answered at `received_ns`, both of this machine's clock, when the
+    /// other clock showed `there_ns`.
     pub fn add(&mut self, sent_ns: i64, there_ns: i64, received_ns: i64) {
         let round_trip_ns = received_ns.saturating_sub(sent_ns);
         if round_trip_ns < 0 {
@@ -41,7 +42,8 @@ impl Offset {
         self.probes.push_back(Probe { at_ns: received_ns, offset_ns, half_way_ns });
     }
 
-    /// Takes the answer to a probe as [`crate::network::answer_probe`] writes it, received at `received_ns`; `None` where it is malformed.
+    /// Adds the answer to a probe, written by [`crate::network::answer_probe`] and received at `received_ns`; `None` if
+    /// it is malformed.
     pub fn take_answer(&mut self, bytes: &[u8], received_ns: i64) -> Option<()> {
         let (sent, rest) = bytes.split_first_chunk::<8>()?;
         let there = rest.first_chunk::<8>()?;
@@ -49,7 +51,7 @@ impl Offset {
         Some(())
     }
 
-    /// The other clock minus this one, and the largest error of that, in ns; `None` without a probe.
+    /// The other clock minus this one, and the maximum error of that, in ns; `None` without a probe.
     pub fn at(&self, now_ns: i64) -> Option<(i64, u64)> {
         let error_ns = |probe: &Probe| {
             let age_ns = now_ns.saturating_sub(probe.at_ns).max(0);
@@ -59,7 +61,7 @@ impl Offset {
         Some((best.offset_ns, error_ns(best).unsigned_abs()))
     }
 
-    /// Time there and back of the last probe, ns.
+    /// Round-trip time of the last probe, ns.
     pub fn round_trip_ns(&self) -> u64 {
         self.round_trip_ns
     }

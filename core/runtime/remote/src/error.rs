@@ -13,7 +13,7 @@ use crate::h264::Unusable;
 use crate::keys::KeysError;
 use crate::network::NetworkError;
 
-/// Why a link, a server or a connection of a window ends or does not start.
+/// A link, a server or a connection of a window that ended or did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteError {
     /// A user started a program that needs the socket of its parent.
@@ -24,7 +24,7 @@ pub enum RemoteError {
     NotANumber {
         /// The argument.
         text: String,
-        /// What is wrong with it.
+        /// Description of the problem.
         cause: ParseIntError,
     },
     /// A path that cannot be made absolute.
@@ -41,19 +41,19 @@ pub enum RemoteError {
         /// The name.
         name: String,
     },
-    /// A server that would serve nobody.
-    #[error("no host may run nodes here; name them with --allow, as in --allow theatre")]
+    /// A server without hosts.
+    #[error("no host may run nodes here; give their names with --allow, as in --allow theatre")]
     NoHosts,
     /// A graph that no window may attach to.
-    #[error("no machine may attach; name those that may with --allow-read or --allow-edit")]
+    #[error("no machine may attach; give the names of machines with --allow-read or --allow-edit")]
     NoWindows,
     /// TLS without keys.
-    #[error("no folder of keys is known: set PANOSCOPE_KEYS")]
+    #[error("there is no folder of keys: set PANOSCOPE_KEYS")]
     NoKeys,
     /// Keys that cannot be read; `remedy` says how to make some.
     #[error("{cause}; {remedy}")]
     UnreadableKeys {
-        /// What is wrong with the keys.
+        /// Description of the problem.
         cause: KeysError,
         /// What to do.
         remedy: &'static str,
@@ -62,13 +62,13 @@ pub enum RemoteError {
     #[error(transparent)]
     Keys(#[from] KeysError),
     /// Nothing listens at the address.
-    #[error("nothing answers at {address} within {} s: {cause}; is `{command}` running there?", timeout.as_secs_f64())]
+    #[error("nothing responds at {address} within {} s: {cause}; is `{command}` running there?", timeout.as_secs_f64())]
     NoAnswer {
-        /// Where the machine should listen.
+        /// Address on which the machine should listen.
         address: String,
         /// Time in which it counts as lost.
         timeout: Duration,
-        /// Why the last attempt failed.
+        /// Error of the last attempt.
         cause: String,
         /// The command that listens there.
         command: &'static str,
@@ -79,16 +79,16 @@ pub enum RemoteError {
         if *is_tls { "; both need certificates of one authority, and that of the machine must name this address" } else { "" }
     )]
     Refused {
-        /// Where the machine listens.
+        /// Address of the machine.
         address: String,
         /// The network's error.
         cause: NetworkError,
         /// Whether certificates were exchanged.
         is_tls: bool,
     },
-    /// The machine listens but does not greet.
+    /// The machine listens but does not answer the greeting.
     #[error(
-        "it does not answer within {} s: `panoscope serve` there has another --name than `{machine}`, or does not --allow this host",
+        "it did not respond within {} s: `panoscope serve` there has another --name than `{machine}`, or does not --allow this host",
         timeout.as_secs_f64()
     )]
     NoGreeting {
@@ -97,7 +97,7 @@ pub enum RemoteError {
         /// Time in which it counts as lost.
         timeout: Duration,
     },
-    /// Two builds that do not understand each other.
+    /// Two builds with different protocols.
     #[error("the versions differ: {host} on the host, {own} on `{machine}`; install the same on both")]
     Version {
         /// Version of the host.
@@ -107,7 +107,7 @@ pub enum RemoteError {
         /// This machine.
         machine: String,
     },
-    /// This machine cannot code pixels as the graph asks.
+    /// This machine cannot encode pixels as the graph requires.
     #[error("{cause} on `{machine}`")]
     Pixels {
         /// What is missing.
@@ -115,8 +115,8 @@ pub enum RemoteError {
         /// This machine.
         machine: String,
     },
-    /// A host that is gone.
-    #[error("nothing was heard of the host for {} s", silence.as_secs_f64())]
+    /// A host that is silent for too long.
+    #[error("the host was silent for {} s", silence.as_secs_f64())]
     HostSilent {
         /// Time without a message.
         silence: Duration,
@@ -136,7 +136,7 @@ pub enum RemoteError {
         sha256: String,
         /// This machine.
         machine: String,
-        /// Where plugins are searched here.
+        /// Folders of plugins on this machine.
         folders: String,
     },
     /// A plugin that cannot be read.
@@ -149,7 +149,7 @@ pub enum RemoteError {
         /// The system's error.
         cause: io::Error,
     },
-    /// Two builds of one plugin.
+    /// The plugin differs between the machines.
     #[error(
         "plugin {} differs: SHA-256 {sha256} on the host, {own} on `{machine}` ({}); install the same build on both",
         path.display(),
@@ -172,13 +172,13 @@ pub enum RemoteError {
     Files {
         /// The node.
         node: String,
-        /// What differs.
+        /// Description of the difference.
         cause: Box<FileError>,
     },
     /// The process that runs the nodes has ended.
     #[error("{reason}")]
     ProcessEnded {
-        /// Why, as the host reports it.
+        /// Reason reported by the host.
         reason: String,
     },
     /// The process that runs the nodes sent a malformed message.
@@ -187,13 +187,13 @@ pub enum RemoteError {
     /// A malformed message of the host.
     #[error("the host sent a malformed message: {cause}")]
     BadHost {
-        /// What is wrong with it.
+        /// Description of the problem.
         cause: Box<RemoteError>,
     },
     /// A lane of this host that has to end.
-    #[error("its link cannot go on: {cause}")]
+    #[error("its link cannot continue: {cause}")]
     Lane {
-        /// Why.
+        /// Reason.
         cause: Box<RemoteError>,
     },
     /// A malformed message of the other machine.
@@ -208,13 +208,13 @@ pub enum RemoteError {
     /// The process that runs the nodes does not start.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// The network refuses.
+    /// An error of the network.
     #[error(transparent)]
     Network(#[from] NetworkError),
-    /// zenoh refuses.
+    /// An error of zenoh.
     #[error(transparent)]
     Zenoh(#[from] zenoh::Error),
-    /// The system refuses.
+    /// An error of the system.
     #[error(transparent)]
     System(#[from] io::Error),
 }

@@ -1,4 +1,4 @@
-//! Files and folders of the host, as the other machine has them.
+//! Files and folders of the host on the other machine.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -9,12 +9,12 @@ use panoscope_host::loader::sealed::Fingerprint;
 
 use panoscope_host::isolate::relay::messages::FileHash;
 
-/// Hashes of files, each computed once for as long as the file stays as it is.
+/// Hashes of files, each computed once while the file is unchanged.
 #[derive(Default)]
 pub struct Hashes(Mutex<HashMap<PathBuf, (SystemTime, u64, String)>>);
 
 impl Hashes {
-    /// SHA-256 of a file; `None` where it is no file, or cannot be read.
+    /// SHA-256 of a file; `None` if it is not a file or cannot be read.
     pub fn of(&self, file: &Path) -> Option<String> {
         let metadata = std::fs::metadata(file).ok().filter(std::fs::Metadata::is_file)?;
         let (changed, len) = (metadata.modified().ok()?, metadata.len());
@@ -30,12 +30,12 @@ impl Hashes {
     }
 }
 
-/// Folders of the host and what stands for them here: the graph's, and those of plugins.
+/// Folders of the host and their local equivalents: the graph's, and those of plugins.
 #[derive(Clone, Debug, Default)]
 pub struct Folders(Vec<(PathBuf, PathBuf)>);
 
 impl Folders {
-    /// `here` stands for the host's folder `there`.
+    /// Maps the host's folder `there` to the local folder `here`.
     pub fn add(&mut self, there: &Path, here: &Path) {
         self.0.retain(|(known, _)| known != there);
         self.0.push((there.to_owned(), here.to_owned()));
@@ -43,7 +43,7 @@ impl Folders {
         self.0.sort_by_key(|(there, _)| std::cmp::Reverse(there.components().count()));
     }
 
-    /// The path here of a path of the host: the same, unless it lies in a folder that another one stands for.
+    /// The local path for a path of the host: the same, unless it is in a mapped folder.
     pub fn here(&self, path: &str) -> PathBuf {
         let path = Path::new(path);
         let moved = |(there, here): &(PathBuf, PathBuf)| Some(here.join(path.strip_prefix(there).ok()?));
@@ -51,7 +51,7 @@ impl Folders {
     }
 }
 
-/// Why a file of the host cannot be used here.
+/// A file of the host that cannot be used here.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FileError {
     /// The file here has other bytes.
@@ -70,7 +70,7 @@ pub enum FileError {
         /// The file here.
         here: PathBuf,
     },
-    /// There is no such file here.
+    /// The file does not exist here.
     #[error("{path} (SHA-256 {sha256}) is missing on `{machine}`: copy it to {} there", here.display())]
     Missing {
         /// The file on the host.
@@ -79,7 +79,7 @@ pub enum FileError {
         sha256: String,
         /// Name of this machine.
         machine: String,
-        /// Where it should be here.
+        /// Its expected path on this machine.
         here: PathBuf,
     },
 }

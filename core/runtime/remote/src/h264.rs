@@ -1,7 +1,7 @@
-//! Colour pictures as H.264: a stream for each input and output of an instance.
+//! Colour images as H.264: a stream for each input and output of an instance.
 //!
-//! Frames of a lane are sent and unpacked in their order, and a connection that is lost takes its streams with it: the next one begins with a key
-//! frame. A picture of another size, or one that does not become shorter, begins a stream anew.
+//! Frames of a lane are sent and unpacked in their order, and a connection that is lost takes its streams with it: the
+//! next one begins with a key frame. An image of another size, or one that does not compress, restarts its stream.
 
 use std::collections::HashMap;
 
@@ -10,11 +10,11 @@ use panoscope_engine::isolation::Pixels;
 use panoscope_host::isolate::relay::messages::Picture;
 use panoscope_media::{Decoder, Encoder, EncoderSettings, Framing, MediaError, RateControl, VideoCodec};
 
-/// The constant rate factor of x264: 18 looks like the original.
+/// The constant rate factor of x264: 18 is visually close to the original.
 const CODEC: VideoCodec = VideoCodec::H264 { rate: RateControl::Crf(18) };
-/// Pictures from one key frame to the next. Nothing is lost within a connection.
+/// Images between keyframes. Long, because a connection loses no data.
 const KEY_INTERVAL: u32 = 250;
-/// Smaller pictures are not worth a stream, px.
+/// Minimum side of an image for a stream, px.
 const MIN_SIDE: u32 = 32;
 /// Maximum number of streams of a connection.
 const MAX_STREAMS: usize = 1024;
@@ -27,24 +27,24 @@ type Key = (u32, u32);
 #[error("pixels = \"h264\" cannot be used: {0}")]
 pub struct Unusable(#[from] MediaError);
 
-/// Why a picture of the other machine is not decoded.
+/// An image from the other machine that cannot be decoded.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
     /// It has more or fewer pixels than the frame.
-    #[error("a picture of the other machine does not fit its frame")]
+    #[error("an image of the other machine does not match its frame")]
     Size,
     /// A new stream beyond [`MAX_STREAMS`].
-    #[error("the other machine begins too many streams")]
+    #[error("the other machine has too many streams")]
     TooManyStreams,
     /// Its stream never began.
-    #[error("a picture of the other machine belongs to no stream")]
+    #[error("an image of the other machine has no stream")]
     NoStream,
-    /// The decoder refuses.
-    #[error("a picture of the other machine cannot be decoded: {0}")]
+    /// An error of the decoder.
+    #[error("an image of the other machine cannot be decoded: {0}")]
     Media(#[from] MediaError),
 }
 
-/// Whether this machine can code pixels so.
+/// Checks whether this machine can encode pixels in this way.
 ///
 /// # Errors
 /// Something is missing; the error names its package.
@@ -60,7 +60,8 @@ pub fn check(pixels: Pixels) -> Result<(), Unusable> {
 pub struct Encoders(HashMap<Key, (Encoder, (u32, u32))>);
 
 impl Encoders {
-    /// The next picture of a stream; `size`: columns, rows, bytes from row to row. `None` for one that is better sent without loss.
+    /// Encodes the next image of a stream; `size`: columns, rows, bytes from row to row. `None` for an image that
+    /// should be sent without loss.
     pub fn encode(&mut self, key: Key, size: (u32, u32, u32), bytes: &[u8]) -> Option<(Picture, Vec<u8>)> {
         let (width, height, stride_bytes) = size;
         let picture = Picture { stream: key.1, width, height, stride_bytes, begins: false };
@@ -117,10 +118,10 @@ impl Encoders {
 pub struct Decoders(HashMap<Key, Decoder>);
 
 impl Decoders {
-    /// Decodes the next picture of a stream into a frame.
+    /// Decodes the next image of a stream into a frame.
     ///
     /// # Errors
-    /// It is not a picture of this stream.
+    /// It is not an image of this stream.
     pub fn decode(&mut self, lane: u32, picture: &Picture, coded: Vec<u8>, to: &mut [u8]) -> Result<(), DecodeError> {
         let key = (lane, picture.stream);
         if !picture.fits(to.len() as u64) {

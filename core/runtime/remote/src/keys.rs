@@ -1,7 +1,8 @@
-//! Certificates by which machines know each other: an authority of one's own, and a certificate and a key for each machine.
+//! Certificates with which machines authenticate each other: a private authority, and a certificate and a key for each
+//! machine.
 //!
-//! `panoscope keys DIR NAME...` makes `DIR/authority.pem` and `DIR/authority-key.pem` once, and for each machine a folder `DIR/NAME` with what that machine
-//! needs. The key of the authority stays where it was made.
+//! `panoscope keys DIR NAME...` makes `DIR/authority.pem` and `DIR/authority-key.pem` once, and for each machine a
+//! folder `DIR/NAME` with the files that it needs. The key of the authority never leaves `DIR`.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -22,7 +23,7 @@ const CERTIFICATE: &str = "certificate.pem";
 const KEY: &str = "key.pem";
 const NAME: &str = "name";
 
-/// Why keys could not be made or read.
+/// Keys that could not be made or read.
 #[derive(Debug, thiserror::Error)]
 pub enum KeysError {
     /// A file cannot be read or written.
@@ -33,7 +34,7 @@ pub enum KeysError {
         /// The system's error.
         cause: io::Error,
     },
-    /// A name that cannot be one.
+    /// An invalid name.
     #[error("`{0}` cannot name a machine: a name has letters, digits, _ and -, as in `rack` or `rack=10.0.0.2`")]
     BadName(String),
     /// The machine has keys already.
@@ -49,7 +50,7 @@ pub enum KeysError {
     Crypto(#[from] rcgen::Error),
 }
 
-/// Whether a name can be part of a key, and of a certificate: letters, digits, `_` and `-`.
+/// Whether a name is valid in zenoh keys and certificates: letters, digits, `_` and `-`.
 pub fn is_name(name: &str) -> bool {
     let fits = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     !name.is_empty() && name.len() <= 64 && name.chars().all(fits)
@@ -68,7 +69,7 @@ pub struct Identity {
     pub key: PathBuf,
 }
 
-/// A machine to make keys for: its name, and the addresses by which it is called.
+/// A machine to make keys for: its name, and its addresses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Member {
     name: String,
@@ -79,7 +80,7 @@ impl Member {
     /// Reads `NAME` or `NAME=ADDRESS,ADDRESS`.
     ///
     /// # Errors
-    /// The name cannot be one.
+    /// The name is invalid.
     pub fn parse(text: &str) -> Result<Self, KeysError> {
         let (name, addresses) = text.split_once('=').unwrap_or((text, ""));
         if !is_name(name) {
@@ -112,7 +113,8 @@ impl Identity {
         Ok(Self { name, authority: file(AUTHORITY)?, certificate: file(CERTIFICATE)?, key: file(KEY)? })
     }
 
-    /// The folder with the keys of this machine: `PANOSCOPE_KEYS`, else `panoscope/machine` in the user's configuration folder.
+    /// The folder with the keys of this machine: `PANOSCOPE_KEYS`, else `panoscope/machine` in the user's configuration
+    /// folder.
     pub fn folder() -> Option<PathBuf> {
         let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let given = std::env::var_os(KEYS_VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from);
@@ -121,7 +123,8 @@ impl Identity {
     }
 }
 
-/// Makes keys for machines in `folder`, and the authority that certifies them where there is none yet. Returns the folder of each machine.
+/// Makes keys for machines in `folder`, and the authority that certifies them, if there is none yet. Returns the folder
+/// of each machine.
 ///
 /// # Errors
 /// See [`KeysError`]. Nothing that exists is overwritten.
@@ -160,7 +163,7 @@ pub fn make(folder: &Path, members: &[Member]) -> Result<Vec<PathBuf>, KeysError
     Ok(folders)
 }
 
-/// The authority's certificate; the same each time but for its key.
+/// The authority's certificate; always the same except for its key.
 fn authority() -> Result<CertificateParams, KeysError> {
     let mut params = CertificateParams::new(Vec::<String>::new())?;
     params.distinguished_name = named("Panoscope machines");

@@ -1,16 +1,17 @@
 //! Nodes of a graph on other machines, over zenoh.
 //!
-//! The host of a graph starts a process for each machine, the *link*, and treats it like the process of a group of isolated nodes: it gives it pools,
-//! plugins and lanes. The link ([`link::run`]) carries the messages of the lanes to `panoscope serve` on the other machine ([`serve::Server`]),
-//! which plays the host for a real process of isolated nodes there. With a message go the bytes of the frames that it names and that the other side
-//! does not have; each frame crosses once. Pools have the same numbers and offsets on both machines.
+//! The host of a graph starts a process for each machine, the *link*, and treats it like the process of a group of
+//! isolated nodes, with pools, plugins and lanes. The link ([`link::run`]) carries the messages of the lanes to
+//! `panoscope serve` on the other machine ([`serve::Server`]), which acts as the host for a real process of isolated
+//! nodes there. A message is accompanied by the bytes of the frames that it names and that the other side lacks; each
+//! frame crosses once. Pools have the same numbers and offsets on both machines.
 //!
-//! Nothing that runs is sent: the other machine uses its own plugins and models, and refuses where their hashes differ. Times of the host's clock are
-//! translated by the offset of the two monotonic clocks, which is measured all the time ([`clock`]). Machines know each other by certificates
-//! ([`keys`]); each host may use only its own keys of zenoh.
+//! No code is sent: the other machine uses its own plugins and models, and refuses where their hashes differ. Times of
+//! the host's clock are translated by the offset of the two monotonic clocks, which is measured all the time
+//! ([`clock`]). Machines know each other by certificates ([`keys`]); each host may use only its own keys of zenoh.
 //!
-//! Windows of other machines on a running graph use the same connections: [`attachable`] listens for them, [`attach`] is their end. Both carry
-//! frames of [`panoscope_host::attach::tunnel`] and do not look into them.
+//! Windows of other machines on a running graph use the same connections: [`attachable`] listens for them, [`attach`]
+//! is their end. Both carry frames of [`panoscope_host::attach::tunnel`] and do not look into them.
 
 pub mod attach;
 pub mod attachable;
@@ -28,7 +29,7 @@ pub mod serve;
 mod served;
 mod sessions;
 
-/// What both machines must agree on: the version of Panoscope, of the ABI, and of the messages.
+/// Version that both machines must share: the version of Panoscope, of the ABI, and of the messages.
 pub fn version() -> String {
     use panoscope_abi::{ABI_MAJOR, ABI_MINOR};
     let (version, messages) = (env!("CARGO_PKG_VERSION"), panoscope_host::isolate::PROTOCOL);

@@ -1,4 +1,4 @@
-//! The link: the process that a host starts for a machine, and takes for the process of a group.
+//! The link: the process that a host starts for a machine and treats as the process of a group.
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
@@ -29,12 +29,12 @@ use crate::mirror::{Pool, Pools};
 use crate::network::{self, Address, UNNAMED};
 use panoscope_host::isolate::relay::messages::{self as message, BadMessage, FileHash, Message, Turn};
 
-/// Attempts to reach the machine in the time in which it counts as lost.
+/// Attempts to reach the machine within its timeout.
 const ATTEMPTS: u32 = 4;
-/// Probes of the clock in that time.
+/// Probes of the clock within the timeout.
 const PROBES: u32 = 10;
 
-/// What a host says about the machine, in the arguments of the process.
+/// Settings of the machine in the arguments of the process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Arguments {
     address: String,
@@ -45,7 +45,7 @@ struct Arguments {
 }
 
 impl Arguments {
-    /// Reads what follows [`panoscope_host::isolate::LINK_COMMAND`].
+    /// Parses the arguments after [`panoscope_host::isolate::LINK_COMMAND`].
     fn parse(words: &[OsString]) -> Option<Self> {
         let words: Vec<&str> = words.iter().map(|word| word.to_str()).collect::<Option<_>>()?;
         let [address, pixels, timeout_ms, plaintext, machine] = words[..] else { return None };
@@ -59,7 +59,7 @@ impl Arguments {
     }
 }
 
-/// Ends the process; the host shows the words.
+/// Ends the process with a message that the host shows.
 pub(crate) fn lose(words: impl Display) -> ! {
     eprintln!("{words}");
     leave(EXIT_LINK)
@@ -81,20 +81,20 @@ struct Received {
     begin: u64,
 }
 
-/// Frames that the other machine has.
+/// Frames that the other machine already has.
 #[derive(Default)]
 struct There {
-    /// Of pools of this machine: how often the buffer had been handed out when the frame was sent.
+    /// For pools of this machine: the use count of the buffer when the frame was sent.
     sent: HashMap<(u32, u64), u32>,
-    /// Of the group's own pools: made there, or sent. Only the other machine writes these.
+    /// For the group's own pools: frames made there, or sent. Only the other machine writes these.
     own: HashSet<(u32, u64)>,
 }
 
-/// What the threads of the process share.
+/// State shared by the threads of the process.
 struct Connection {
     arguments: Arguments,
     down: Publisher<'static>,
-    /// Locked while a message is sent: a frame that another message names went before it.
+    /// Locked while a message is sent, so that a frame precedes every message that names it.
     there: Mutex<There>,
     pools: Pools,
     encoders: Mutex<Encoders>,
@@ -110,8 +110,8 @@ struct Connection {
     changed: Condvar,
 }
 
-/// Runs the process until its host is gone or its machine is lost. `words` is what follows [`panoscope_host::isolate::LINK_COMMAND`]; standard input is the
-/// socket of the host.
+/// Runs the process until its host ends or its machine is lost. `words` are the arguments after
+/// [`panoscope_host::isolate::LINK_COMMAND`]; standard input is the socket of the host.
 pub fn run(words: &[OsString]) -> ! {
     let Some(arguments) = Arguments::parse(words) else {
         lose("the program that started this link is of another version")
@@ -138,7 +138,7 @@ pub fn run(words: &[OsString]) -> ! {
     }
 }
 
-/// Connects to a machine where `command` listens, within the time in which it counts as lost. Returns the name of this host too.
+/// Connects to a machine where `command` listens, within its timeout. Also returns the name of this host.
 pub(crate) fn reach(
     address: &str,
     timeout: Duration,
@@ -182,7 +182,8 @@ pub(crate) fn reach(
     Ok((session, host))
 }
 
-/// Waits until something accepts connections at an address. Short attempts find a network that comes back sooner than one that the system repeats.
+/// Waits until something accepts connections at an address. Several short attempts notice a recovered network sooner
+/// than one attempt that the system repeats.
 fn wait_for_answer(address: &str, timeout: Duration, end: Instant, command: &'static str) -> Result<(), RemoteError> {
     let host = address.split_once('/').map_or(address, |(_, host)| host);
     loop {
@@ -207,7 +208,7 @@ fn wait_for_answer(address: &str, timeout: Duration, end: Instant, command: &'st
     }
 }
 
-/// Carries messages until the host is gone.
+/// Carries messages until the host ends.
 fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> Result<Arc<Connection>, RemoteError> {
     let prefix = network::prefix(&arguments.machine, host, &session.zid().to_string());
     let connection = Arc::new(Connection {
@@ -313,7 +314,7 @@ impl Connection {
         Ok(self.down.put(bytes).wait()?)
     }
 
-    /// A message of the server.
+    /// Decodes a message of the server.
     fn receive(&self, sample: &Sample) -> Result<(), BadMessage> {
         let payload = sample.payload();
         let mut reader = payload.reader();
@@ -335,7 +336,7 @@ impl Connection {
         Ok(())
     }
 
-    /// The answer to a probe: when it was sent, and the clock there.
+    /// Measures the clock with the answer to a probe: send time and remote clock.
     fn measure(&self, sample: &Sample) -> Result<(), BadMessage> {
         lock(&self.clock).take_answer(&sample.payload().to_bytes(), system_ns()).ok_or(BadMessage)?;
         // Whoever waits has looked at the clock before, or looks again.
@@ -344,7 +345,7 @@ impl Connection {
         Ok(())
     }
 
-    /// The other machine's clock minus this one's, ns, and its largest error.
+    /// The other machine's clock minus this one's, ns, and its maximum error.
     fn offset(&self) -> Option<(i64, u64)> {
         lock(&self.clock).at(system_ns())
     }
@@ -360,7 +361,8 @@ impl Connection {
         }
     }
 
-    /// Measures the clock, shows what is known, and ends the process when the machine is silent for too long.
+    /// Measures the clock, publishes the state of the connection, and ends the process when the machine is silent for
+    /// too long.
     fn probe(&self, ping: &Publisher<'static>) {
         let timeout = self.arguments.timeout;
         loop {
@@ -432,13 +434,14 @@ impl Connection {
         Ok(self.pools.get(frame.pool)?.is_own)
     }
 
-    /// When a result was made, ns of the host's clock: that is when the light of a source's tick arrived, unless the source says otherwise.
+    /// Time at which a result was made, ns of the host's clock. It is the arrival of the light of a source's tick
+    /// unless the source sets one.
     fn arrival(&self, turn: &Turn, host_clock: Option<i64>) -> Option<i64> {
         let (offset_ns, _) = self.offset()?;
         Some(turn.at_ns.saturating_sub(offset_ns).saturating_add(host_clock?))
     }
 
-    /// Sends a message of the host, with the frames that the other machine does not have.
+    /// Sends a message of the host, with the frames that the other machine lacks.
     fn pass(
         &self,
         lane: u32,
@@ -488,7 +491,7 @@ impl Connection {
 }
 
 impl There {
-    /// Whether a frame has to be sent; it counts as sent from here on.
+    /// Whether a frame has to be sent; it then counts as sent.
     fn takes(&mut self, frame: &Bytes, is_own: bool) -> bool {
         let buffer = (frame.pool, frame.offset);
         match is_own {

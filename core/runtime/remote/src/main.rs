@@ -1,5 +1,5 @@
-//! The program that links machines. Other programs start it, and users through `panoscope serve` and `panoscope keys`; its arguments are for them, and
-//! not for users.
+//! The program that links machines. Other programs start it, and users through `panoscope serve` and `panoscope keys`;
+//! its arguments are internal.
 //!
 //! - `link ADDRESS PIXELS TIMEOUT_MS PLAINTEXT MACHINE`: see [`panoscope_remote::link`]
 //! - `serve NAME ADDRESS KEYS GRAPH_DIR PLAINTEXT HOST...`: KEYS is empty where no folder of keys is given
@@ -24,7 +24,7 @@ use panoscope_remote::keys::{Identity, KEYS_VARIABLE, Member, make};
 use panoscope_remote::serve::{Options, Server};
 use panoscope_remote::{attach, attachable, link, network, raw, refused};
 
-/// The arguments or the keys are wrong.
+/// Exit status for wrong arguments or keys.
 const WRONG: u8 = 2;
 
 static ENDS: AtomicBool = AtomicBool::new(false);
@@ -74,7 +74,7 @@ fn usage() -> ExitCode {
     ExitCode::from(WRONG)
 }
 
-/// The keys of this machine, where they are needed.
+/// The keys of this machine, if they are needed.
 fn identity(keys: &str, is_tls: bool) -> Result<Option<Identity>, RemoteError> {
     let folder = if keys.is_empty() { Identity::folder() } else { Some(PathBuf::from(keys)) };
     let unreadable = |cause| RemoteError::UnreadableKeys { cause, remedy: "`panoscope keys` makes keys" };

@@ -1,4 +1,4 @@
-//! Frame pools as both ends of a connection map them.
+//! Frame pools mapped at both ends of a connection.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -15,11 +15,11 @@ use panoscope_host::isolate::relay::Bytes;
 use crate::h264::{Decoders, Encoders};
 use panoscope_host::isolate::relay::messages::{BadMessage, Coding, FrameHead};
 
-/// Longest wait for a pool that the host has already sent.
+/// Maximum wait for a pool that the host has already sent.
 const MAX_WAIT: Duration = Duration::from_secs(1);
-/// Largest pool.
+/// Maximum size of a pool, bytes.
 const MAX_POOL_BYTES: u64 = 8 << 30;
-/// Shorter frames are not compressed.
+/// Minimum length of a compressed frame, bytes.
 const MIN_COMPRESSED_BYTES: u64 = 4096;
 
 /// A mapped pool.
@@ -55,7 +55,7 @@ impl Pool {
         Ok((unsafe { self.base.add(offset) }, end - offset))
     }
 
-    /// The bytes of a frame. The host lends the frame for as long as the call runs that names it.
+    /// The bytes of a frame. The frame is valid during the call that names it.
     pub fn copy(&self, frame: &Bytes) -> Result<Vec<u8>, BadMessage> {
         let (from, len) = self.at(frame.offset, frame.len)?;
         let mut bytes = Vec::with_capacity(len);
@@ -68,7 +68,7 @@ impl Pool {
         Ok(bytes)
     }
 
-    /// Copies a frame into another buffer, which nobody else uses yet.
+    /// Copies a frame into another buffer, which is not in use yet.
     pub fn copy_to(&self, frame: &Bytes, pool: &Self, offset: u64) -> Result<(), BadMessage> {
         let ((from, len), (to, _)) = (self.at(frame.offset, frame.len)?, pool.at(offset, frame.len)?);
         // SAFETY: both stretches lie inside mappings; `ptr::copy` allows them to overlap.
@@ -76,7 +76,8 @@ impl Pool {
         Ok(())
     }
 
-    /// Fills a frame with bytes that were sent. The sender owns the buffer: nobody reads it before the message that names it is passed on.
+    /// Fills a frame with bytes that were sent. The sender owns the buffer; it is not read before the message that
+    /// names it is passed on.
     fn fill(&self, frame: &FrameHead, from: &mut impl Read, lane: u32, decoders: &Mutex<Decoders>) -> io::Result<()> {
         let (to, len) = self.at(frame.offset, frame.len)?;
         // SAFETY: `len` bytes inside a mapping that this process may write, and that nobody else uses, see above.
@@ -116,13 +117,13 @@ pub struct Pools {
 }
 
 impl Pools {
-    /// A pool can be used from now on.
+    /// Adds a pool, which can then be used.
     pub fn add(&self, number: u32, pool: Pool) {
         lock(&self.known).insert(number, Arc::new(pool));
         self.changed.notify_all();
     }
 
-    /// A pool, which may still be on its way.
+    /// A pool; waits for one that has not arrived yet.
     pub fn get(&self, number: u32) -> Result<Arc<Pool>, BadMessage> {
         let known = lock(&self.known);
         let missing = |known: &mut HashMap<u32, Arc<Pool>>| !known.contains_key(&number);
@@ -130,7 +131,8 @@ impl Pools {
         waited.unwrap_or_else(PoisonError::into_inner).0.get(&number).cloned().ok_or(BadMessage)
     }
 
-    /// Fills the frames of a message of a lane with the bytes that follow it. `own_only`: pools that the group does not write are not touched.
+    /// Fills the frames of a message of a lane with the bytes that follow it. `own_only`: only pools that the group
+    /// writes are filled.
     pub fn fill(
         &self,
         frames: &[FrameHead],
@@ -149,7 +151,7 @@ impl Pools {
         Ok(())
     }
 
-    /// The bytes of a frame as they are sent, in a stream of a lane.
+    /// Encodes the bytes of a frame for a stream of a lane.
     pub fn coded(
         &self,
         frame: &Bytes,
@@ -176,7 +178,7 @@ impl Pools {
     }
 }
 
-/// A file in memory for a pool, of a fixed size.
+/// A memory file of fixed size for a pool.
 pub fn new_file(number: u32, len: u64) -> io::Result<File> {
     if number == 0 || number as usize > MAX_POOLS || len == 0 || len > MAX_POOL_BYTES {
         return Err(BadMessage.into());

@@ -1,4 +1,4 @@
-//! zenoh as both ends use it: one address, no discovery, one set of keys for each host.
+//! The use of zenoh at both ends: one address, no discovery, one set of keys per host.
 
 use std::net::ToSocketAddrs;
 use std::path::Path;
@@ -14,27 +14,27 @@ use crate::keys::Identity;
 /// Name of a host that has no certificate.
 pub const UNNAMED: &str = "unnamed";
 
-/// Why a session could not be opened.
+/// A session that could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum NetworkError {
-    /// An address that is none.
-    #[error("`{0}` is no address; write tls/HOST:PORT, or tcp/HOST:PORT inside one machine")]
+    /// A malformed address.
+    #[error("`{0}` is not an address; write tls/HOST:PORT, or tcp/HOST:PORT inside one machine")]
     BadAddress(String),
-    /// Without encryption to another machine.
+    /// An unencrypted address of another machine.
     #[error(
-        "`{0}` leads to another machine without encryption: {remedy}",
+        "`{0}` would connect to another machine without encryption: {remedy}",
         remedy = "use tls/ and keys of `panoscope keys`"
     )]
     Plaintext(String),
     /// TLS without certificates.
     #[error("`{0}` needs keys: make them with `panoscope keys`, and name their folder with --keys or PANOSCOPE_KEYS")]
     NoKeys(String),
-    /// zenoh refuses.
+    /// An error of zenoh.
     #[error("{0}")]
     Zenoh(String),
 }
 
-/// An address in the words of a graph.
+/// An address as written in a graph.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Address {
     /// As it was given.
@@ -44,7 +44,7 @@ pub struct Address {
 }
 
 impl Address {
-    /// Reads an address. Without encryption it has to stay on this machine, unless `plaintext`.
+    /// Reads an address. An unencrypted address must be on this machine, unless `plaintext` is set.
     pub fn parse(text: &str, plaintext: bool) -> Result<Self, NetworkError> {
         let bad = || NetworkError::BadAddress(text.to_owned());
         let (protocol, host) = text.split_once('/').ok_or_else(bad)?;
@@ -72,8 +72,8 @@ fn is_loopback(host: &str) -> bool {
     }
 }
 
-/// Lets one thread do all of zenoh's work: it reads and writes a TLS connection from two threads at once, which rustls does not allow and which
-/// damages memory (zenoh's issue 2557).
+/// Lets one thread do all of zenoh's work: it reads and writes a TLS connection from two threads at once, which rustls
+/// does not allow and which damages memory (zenoh's issue 2557).
 ///
 /// # Safety
 /// The process has no other thread yet, and has not used zenoh.
@@ -83,7 +83,7 @@ pub unsafe fn work_in_one_thread() {
     unsafe { std::env::set_var("ZENOH_RUNTIME", runtime) };
 }
 
-/// A configuration without discovery.
+/// A zenoh configuration without discovery.
 fn quiet() -> Result<Config, NetworkError> {
     let mut config = Config::default();
     let settings = [
@@ -116,7 +116,7 @@ fn path(path: &Path) -> String {
     quoted(&path.display().to_string())
 }
 
-/// Certificates of both sides, and who answers must have the name that was called.
+/// Adds the certificates of both sides; the answering machine must have the called name.
 fn with_tls(config: &mut Config, identity: &Identity, is_server: bool) -> Result<(), NetworkError> {
     let side = if is_server { "listen" } else { "connect" };
     let settings = [
@@ -136,7 +136,7 @@ fn open(config: Config) -> Result<Session, NetworkError> {
     zenoh::open(config).wait().map_err(|error| NetworkError::Zenoh(without_places(&error.to_string())))
 }
 
-/// A message of zenoh without the places in its source text, as in `closed at /root/link.rs:64.`
+/// A message of zenoh without locations in its source, such as `closed at /root/link.rs:64.`
 fn without_places(message: &str) -> String {
     let (mut kept, mut rest) = (String::new(), message);
     while let Some(at) = rest.find(" at ") {
@@ -164,7 +164,7 @@ pub fn connect(address: &Address, identity: Option<&Identity>) -> Result<Session
     open(config)
 }
 
-/// Listens for hosts. With certificates each host in `hosts` may use only its own keys, and others none.
+/// Listens for hosts. With certificates, each host in `hosts` may use only its own keys; other hosts may use none.
 pub fn listen(
     machine: &str,
     address: &Address,
@@ -181,7 +181,7 @@ pub fn listen(
     open(config)
 }
 
-/// Who may use which keys, as zenoh reads it: everything else is refused.
+/// zenoh's access rules: which host may use which keys. All else is refused.
 fn access(machine: &str, hosts: &[String]) -> String {
     let list = |each: &dyn Fn(&String) -> String| hosts.iter().map(each).collect::<Vec<_>>().join(", ");
     let rules = list(&|host| {
@@ -207,8 +207,8 @@ pub fn session_of(sample: &Sample) -> Option<String> {
     sample.key_expr().as_str().split('/').nth(3).map(str::to_owned)
 }
 
-/// Answers a probe of the clock: what was sent, then this machine's clock at `now_ns`. Returns false, without an
-/// answer, for one that is malformed.
+/// Answers a probe of the clock with its content followed by this machine's clock at `now_ns`. Returns false, without
+/// an answer, for a malformed probe.
 pub fn answer_probe(session: &Session, key: String, probe: &Sample, now_ns: i64) -> bool {
     let bytes = probe.payload().to_bytes();
     let Some(sent) = bytes.first_chunk::<8>() else { return false };
@@ -217,7 +217,8 @@ pub fn answer_probe(session: &Session, key: String, probe: &Sample, now_ns: i64)
     true
 }
 
-/// A publisher of messages: nothing is dropped, the caller waits while the network is slow. `is_urgent` messages overtake others.
+/// A publisher of messages: nothing is dropped; the caller waits while the network is slow. `is_urgent` messages
+/// overtake others.
 pub fn publisher(
     session: &Session,
     key: String,
@@ -232,8 +233,9 @@ pub fn publisher(
     declared.map_err(|error| NetworkError::Zenoh(error.to_string()))
 }
 
-/// Calls `lost` when the other end of a publisher is gone after it was there. zenoh connects again by itself, and does not say what it lost on
-/// the way: whoever counts on every message begins anew instead. The watch ends when the value that is returned is dropped.
+/// Calls `lost` when the other end of a publisher disappears. zenoh reconnects by itself without reporting lost
+/// messages, so a user that needs every message must restart its session. The watch ends when the returned value is
+/// dropped.
 pub fn watch_end(
     publisher: &zenoh::pubsub::Publisher<'static>,
     lost: impl Fn() + Send + Sync + 'static,

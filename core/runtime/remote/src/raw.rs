@@ -9,14 +9,14 @@ use zenoh::bytes::ZBytes;
 
 use crate::network::{self, Address, NetworkError};
 
-/// Longest wait for what was sent.
+/// Maximum wait for the sent messages.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Time in which `count` messages of `bytes` arrive, sent as fast as zenoh takes them from one session to another over TCP of this machine. Each is
-/// copied once on its way in and once on its way out, as a frame of a pool has to be.
+/// Time in which `count` messages of `bytes` arrive, sent as fast as zenoh takes them from one session to another over
+/// TCP of this machine. Each is copied once on its way in and once on its way out, as a frame of a pool has to be.
 ///
 /// # Errors
-/// zenoh refuses, or messages do not arrive.
+/// zenoh reports an error, or messages do not arrive.
 pub fn publish(port: u16, bytes: usize, count: u64) -> Result<Duration, NetworkError> {
     let address = Address::parse(&format!("tcp/127.0.0.1:{port}"), false)?;
     let there = network::listen("raw", &address, None, &[])?;

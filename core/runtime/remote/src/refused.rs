@@ -1,11 +1,11 @@
-//! Lines about connections that were refused, which zenoh writes to its own log only.
+//! Lines about connections that were refused, which zenoh writes only to its own log.
 
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use panoscope_engine::sync::lock;
 
-/// At most one line in this time; further ones are counted.
+/// Minimum time between two lines; further ones are counted.
 const QUIET: Duration = Duration::from_secs(1);
 /// Modules of zenoh that accept connections.
 const TARGETS: [&str; 3] = ["zenoh_link_tls", "zenoh_link_tcp", "zenoh_transport::unicast::establishment::accept"];
@@ -18,7 +18,7 @@ struct Written {
 }
 
 impl Written {
-    /// The line about a message of zenoh, if it is one and its time has come.
+    /// The line for a message of zenoh, if it is about a refused connection and enough time has passed.
     fn line(&mut self, message: &str, now: Instant) -> Option<String> {
         let reason = reason(message)?;
         if self.at.is_some_and(|at| now.duration_since(at) < QUIET) {
@@ -33,8 +33,8 @@ impl Written {
     }
 }
 
-/// Why a connection was refused, without what zenoh adds for its developers. `None` for connections that were closed before they said
-/// anything: a host looks first whether anything listens.
+/// The reason of a refusal, without zenoh's internal details. `None` for connections that were closed before any data:
+/// a host first checks whether anything listens.
 fn reason(message: &str) -> Option<&str> {
     let words = message.split(". Hint: ").next().unwrap_or(message);
     let words = words.split(" at /").next().unwrap_or(words).trim();
@@ -42,7 +42,7 @@ fn reason(message: &str) -> Option<&str> {
     (!is_probe && !words.is_empty() && !words.starts_with("Accepted ")).then_some(words)
 }
 
-/// From here on `write` gets lines about refused connections. The first call counts.
+/// Passes lines about refused connections to `write`. Only the first call has an effect.
 pub fn log(write: impl Fn(&str) + Send + Sync + 'static) {
     let written = Mutex::new(Written::default());
     zenoh_util::init_log_with_callback(

@@ -1,4 +1,4 @@
-//! `panoscope serve`: takes groups of nodes for other machines.
+//! `panoscope serve`: serves groups of nodes for other machines.
 
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::mpsc::channel;
@@ -26,10 +26,10 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens from now on. `log` gets a line for each group that comes and goes.
+    /// Starts to listen. `log` receives a line when a group begins or ends.
     ///
     /// # Errors
-    /// The address cannot be listened at, or keys are missing.
+    /// The address cannot be used, or keys are missing.
     pub fn start(options: Options, log: Box<LogFn>) -> Result<Self, NetworkError> {
         let address = Address::parse(&options.address, options.plaintext)?;
         let session = network::listen(&options.name, &address, options.identity.as_ref(), &options.hosts)?;

@@ -27,17 +27,17 @@ use crate::network;
 use crate::sessions::{Delivered, Shared};
 use panoscope_host::isolate::relay::messages::{self as message, Message, Turn};
 
-/// A host that was silent for so many times the time that it gives this machine is gone.
+/// Multiple of the timeout after which a silent host counts as lost.
 const PATIENCE: u32 = 2;
 /// Maximum number of lanes of a group.
 const MAX_LANES: usize = 1024;
 
-/// What the threads of a group share.
+/// State shared by the threads of a group.
 struct Group {
     shared: Arc<Shared>,
     up: Publisher<'static>,
     pools: Pools,
-    /// Frames of the group's own pools that the host has as they are.
+    /// Frames of the group's own pools whose current content the host has.
     at_host: Mutex<HashSet<(u32, u64)>>,
     folders: Mutex<Folders>,
     pixels: Pixels,
@@ -45,7 +45,7 @@ struct Group {
     decoders: Mutex<Decoders>,
 }
 
-/// Serves a group until its host ends it or is gone.
+/// Serves a group until its host ends it or is lost.
 pub(crate) fn run(shared: &Arc<Shared>, host: &str, id: &str, delivered: &Receiver<Delivered>, heard: &AtomicI64) {
     let words = match serve(shared, host, id, delivered, heard) {
         Ok(()) => format!("{host} ended its group"),
@@ -113,7 +113,7 @@ impl Group {
         Ok(self.up.put(bytes.finish()).wait()?)
     }
 
-    /// Takes the messages of the host, one after the other.
+    /// Handles the messages of the host in order.
     fn deliver(
         self: &Arc<Self>,
         process: &Served,
@@ -191,7 +191,7 @@ impl Group {
         Ok(sender)
     }
 
-    /// Gives the process this machine's own file of a plugin, if it is the host's to the byte.
+    /// Sends the process this machine's file of a plugin, if its bytes equal the host's.
     fn plugin(&self, process: &Served, id: u32, path: &Path, sha256: &str) -> Result<(), RemoteError> {
         let machine = &self.shared.options.name;
         let name = path.file_name().unwrap_or(path.as_os_str());
@@ -275,7 +275,7 @@ impl Group {
         Ok(())
     }
 
-    /// A message of the host as the process here understands it.
+    /// A message of the host, translated for the process here.
     fn here(&self, turn: &Turn, asked: u32, original: Option<Bytes>) -> Result<Vec<u8>, RemoteError> {
         let message = &turn.message;
         let path = |path: &str| lock(&self.folders).here(path).display().to_string();
@@ -321,7 +321,7 @@ impl Group {
         }
     }
 
-    /// An output that the host does not have, as it is sent; it counts as there from here on.
+    /// The head of an output that the host lacks; the host then counts as having it.
     fn new_at_host(
         &self,
         output: &Bytes,

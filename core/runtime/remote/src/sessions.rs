@@ -1,4 +1,4 @@
-//! What a server and the groups that it serves share.
+//! State shared by a server and its groups.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -15,29 +15,29 @@ use crate::files::Hashes;
 use crate::keys::Identity;
 use crate::network;
 
-/// How a server is to be.
+/// Settings of a server.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Name of this machine in graphs.
     pub name: String,
-    /// Where to listen.
+    /// Address to listen on.
     pub address: String,
-    /// Whether an address without encryption may be one that other machines reach.
+    /// Whether an address without encryption may be reachable from other machines.
     pub plaintext: bool,
     /// The keys of this machine.
     pub identity: Option<Identity>,
     /// Hosts that may use it, by the names in their certificates.
     pub hosts: Vec<String>,
-    /// The folder here that stands for the folder of a host's graph.
+    /// The local folder that replaces the folder of a host's graph.
     pub graph_dir: PathBuf,
     /// Folders of plugins besides those of the installation.
     pub plugins: Vec<PathBuf>,
 }
 
-/// A line for the log.
+/// Receives a line of the log.
 pub type LogFn = dyn Fn(&str) + Send + Sync;
 
-/// What all groups share.
+/// State shared by all groups.
 pub(crate) struct Shared {
     pub options: Options,
     pub session: Session,
@@ -46,11 +46,11 @@ pub(crate) struct Shared {
     pub open: Mutex<HashMap<(String, String), Open>>,
 }
 
-/// A group that is served.
+/// A group in service.
 pub(crate) struct Open {
     pub deliver: Sender<Delivered>,
     pub heard_ns: Arc<AtomicI64>,
-    /// Its name, as the host gave it.
+    /// Name given by the host.
     pub group: String,
 }
 
@@ -67,12 +67,12 @@ impl Shared {
         (self.log)(words);
     }
 
-    /// The key of a session, for what goes to its host.
+    /// The key of a session for messages to its host.
     pub fn key(&self, host: &str, id: &str, what: &str) -> String {
         format!("{}/{what}", network::prefix(&self.options.name, host, id))
     }
 
-    /// A session has ended.
+    /// Removes a session that has ended.
     pub fn end(&self, host: &str, id: &str) {
         lock(&self.open).remove(&(host.to_owned(), id.to_owned()));
     }

@@ -1,14 +1,16 @@
-//! Which value of images with more than eight bits is white: one for all views and all images of a source, so that they can be compared.
+//! Finds the white value of images with more than eight bits: one for all views and images of a source, so that they
+//! are comparable.
 
-/// Bits that cameras have.
+/// Usual bit depths of cameras.
 const BITS: [u32; 5] = [8, 10, 12, 14, 16];
 
-/// The value that is white with so many bits.
+/// The white value of a bit depth.
 pub fn white_of_bits(bits: u32) -> f32 {
     ((1u32 << bits.clamp(1, 16)) - 1) as f32
 }
 
-/// The smallest white of a usual bit depth that holds an image with this largest value; 1.0 for floats up to 1.0. `None` when no depth holds it.
+/// The smallest white of a usual bit depth that holds an image with this largest value; 1.0 for floats up to 1.0.
+/// `None` when no depth holds it.
 pub fn white_for(peak: f32, is_float: bool) -> Option<f32> {
     if is_float && peak <= 1.0 {
         return Some(1.0);
@@ -27,7 +29,7 @@ pub struct Deep<'n> {
     pub is_float: bool,
 }
 
-/// What is logged when white is found or changes.
+/// Log message when white is found or changes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Remark {
     /// For information.
@@ -36,9 +38,9 @@ pub enum Remark {
     Warning(String),
 }
 
-/// Values that 16 bits do not hold.
+/// Values that exceed 16 bits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{name}: values up to {peak} are more than 16 bits hold: scale the image so that white is 1.0, 255 or 65535")]
+#[error("{name}: values up to {peak} exceed 16 bits: scale the image so that white is 1.0, 255 or 65535")]
 pub struct TooBright {
     name: String,
     peak: f32,
@@ -53,11 +55,11 @@ pub struct White {
 }
 
 impl White {
-    /// White of the images of one tick; 255 when none has more than eight bits. `bits` is what the user says, 0 for nothing; `series` returns the
-    /// largest values of other images of the same series.
+    /// White of the images of one tick; 255 when none has more than eight bits. `bits` is the user's setting, 0 for
+    /// none; `series` returns the largest values of other images of the same series.
     ///
     /// # Errors
-    /// Values that no bit depth holds.
+    /// Values that exceed every bit depth.
     pub fn of<'n>(
         &mut self,
         bits: u32,

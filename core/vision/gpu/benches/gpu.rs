@@ -1,5 +1,6 @@
-//! Time of a frame on the GPU, its way there and back included, beside that of the processor on two threads: the median of 30, both by turns. A word as argument
-//! picks the sizes that hold it: `PANOSCOPE_GPU=nvidia cargo bench -p panoscope-gpu -- 3840`.
+//! Time of a frame on the GPU, its way there and back included, and that of the processor on two threads: the median of
+//! 30, both by turns. A word as argument picks the sizes that hold it: `PANOSCOPE_GPU=nvidia cargo bench -p
+//! panoscope-gpu -- 3840`.
 
 use std::sync::Arc;
 use std::time::Instant;

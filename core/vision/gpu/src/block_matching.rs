@@ -1,7 +1,8 @@
 //! Block matching on the device.
 //!
-//! One kernel filters both views, one matches the pixels of a view against the other one. It runs for the right view first, whose winners the
-//! left-right check of the left view reads. No cost is stored: a workgroup goes through the disparities with the winners of its pixels at hand.
+//! One kernel filters both views, one matches the pixels of a view against the other one. It runs for the right view
+//! first, whose winners the left-right check of the left view reads. No cost is stored: a workgroup iterates over the
+//! disparities and keeps the winners of its pixels.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,18 +21,18 @@ const BLOCK: [usize; 2] = [64, 32];
 const CALL_WORDS: usize = 8;
 const JOB_WORDS: usize = 12;
 const FILTER_WORDS: usize = 8;
-/// Columns that a row of a filtered view has in addition: three before, one behind.
+/// Additional columns of a row of a filtered view: three before, one after.
 const PLANE_MARGIN: usize = 4;
-/// Result that nobody reads.
+/// Marks a result that is not read.
 const NOWHERE: usize = 0xffff_ffff;
 /// Workgroups in a row of a dispatch.
 const GROUPS_PER_ROW: usize = 32_768;
-/// Bytes that starts of parts in the upload are multiples of.
+/// Alignment of parts in the upload, bytes.
 const ALIGNMENT: usize = 16;
 const MAX_SEARCH_PX: usize = 512;
 const MAX_MIN_DISPARITY_PX: u32 = 1 << 20;
 
-/// Pixels of the left view, and what they are compared with.
+/// Pixels of the left view and their search range.
 #[derive(Clone, Debug)]
 struct Region {
     /// Columns and rows whose disparity is found.
@@ -52,7 +53,7 @@ impl Region {
         Some(Self { competing: columns.clone(), columns, rows, min: min.into(), lanes })
     }
 
-    /// The region of a tile of views of this size, as `BlockMatcher::compute_tiles` matches it.
+    /// The region of a tile of views of this size, matched like `BlockMatcher::compute_tiles`.
     fn of_tile(tile: &Tile, (width, height): (usize, usize)) -> Option<Self> {
         let area = tile.area.clamped(width, height);
         let roi = tile.widened(TILE_MARGIN_PX, width).clamped(width, height);
@@ -69,7 +70,7 @@ impl Region {
     }
 }
 
-/// Where a part of a result is: `columns` of `rows` of a map, row after row from value `start` on.
+/// Location of a part of a result: `columns` of `rows` of a map, row after row from value `start` on.
 #[derive(Clone, Debug)]
 struct Part {
     columns: Range<usize>,
@@ -99,12 +100,12 @@ struct Job<'a> {
     lanes: usize,
     /// Columns of the other view that compete.
     others: &'a Range<usize>,
-    /// Where the winners of the right view's pixels are, their first column, their columns.
+    /// Winners of the right view's pixels: offset, first column, number of columns.
     winners: [usize; 3],
     output: usize,
 }
 
-/// What one call asks of the device.
+/// Work of one call on the device.
 #[derive(Debug, Default)]
 struct Plan {
     /// Columns of the views, first row of the planes, radius of the window.
@@ -139,7 +140,7 @@ impl Plan {
         self.push(0, &Job { columns, rows, shift, lanes, others: &(0..self.width), winners, output });
     }
 
-    /// Makes room for a part of a map; returns where it starts.
+    /// Reserves space for a part of a map; returns its offset.
     fn output(&mut self, side: usize, columns: &Range<usize>, rows: &Range<usize>) -> usize {
         let start = self.result;
         self.result += columns.len() * rows.len();
@@ -165,7 +166,7 @@ impl Plan {
     }
 }
 
-/// What a view needs on the device.
+/// Device memory of a view.
 #[derive(Debug, Default)]
 struct Side {
     view: Store,
@@ -174,9 +175,9 @@ struct Side {
     blocks: Store,
 }
 
-/// Block matcher on a device, with its memory there, which only grows.
+/// Block matcher on a device, with device memory that only grows.
 ///
-/// Finds the same disparities as [`BlockMatcher`], but for the last bits of their fractions.
+/// Finds the same disparities as [`BlockMatcher`], up to the last bits of their fractions.
 ///
 /// [`BlockMatcher`]: panoscope_imaging::stereo::BlockMatcher
 #[derive(Debug)]
@@ -196,7 +197,7 @@ impl GpuBlockMatcher {
     /// Prepares a device.
     ///
     /// # Errors
-    /// [`GpuError::Failed`] when it does not take a shader.
+    /// [`GpuError::Failed`] if it rejects a shader.
     pub fn new(gpu: Arc<Gpu>) -> Result<Self, GpuError> {
         let filter = Kernel::new(&gpu, "block matching filter", &[include_str!("shaders/block_matching_filter.wgsl")])?;
         let matching = |constant: &str| {
@@ -210,7 +211,8 @@ impl GpuBlockMatcher {
     /// Matches the pixels of `roi` of a rectified gray pair; see [`BlockMatcher::compute`], whose maps it fills.
     ///
     /// # Errors
-    /// [`GpuError::Input`] for a parameter out of range and for pictures and maps that do not fit together; errors of the device.
+    /// [`GpuError::Input`] for a parameter out of range and for images and maps of different sizes; errors of the
+    /// device.
     ///
     /// [`BlockMatcher::compute`]: panoscope_imaging::stereo::BlockMatcher::compute
     pub fn compute(
@@ -236,11 +238,11 @@ impl GpuBlockMatcher {
         })
     }
 
-    /// Matches each of `tiles` of a rectified gray pair over its own range, in place of the range of the parameters; see
-    /// [`BlockMatcher::compute_tiles`], whose map it fills.
+    /// Matches each of `tiles` of a rectified gray pair over its own range, in place of the range of the parameters;
+    /// see [`BlockMatcher::compute_tiles`], whose map it fills.
     ///
     /// # Errors
-    /// As [`GpuBlockMatcher::compute`]; [`GpuError::Input`] for a range that is empty or too wide too.
+    /// As [`GpuBlockMatcher::compute`]; [`GpuError::Input`] also for a range that is empty or too wide.
     ///
     /// [`BlockMatcher::compute_tiles`]: panoscope_imaging::stereo::BlockMatcher::compute_tiles
     pub fn compute_tiles(

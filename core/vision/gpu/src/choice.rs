@@ -7,7 +7,7 @@ use panoscope_node::Choice;
 
 use crate::device::{Gpu, GpuError};
 
-/// What computes the pictures of a node.
+/// Device that computes the images of a node.
 #[derive(Choice, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Device {
     /// The processor.
@@ -18,7 +18,7 @@ pub enum Device {
 }
 
 impl Device {
-    /// Opens what computes on this device: `None` for the processor, and, after a warning, where there is no GPU.
+    /// Opens the device; `None` for the processor and, after a warning, if there is no GPU.
     pub fn open<T>(self, report: &dyn Report, new: impl FnOnce(Arc<Gpu>) -> Result<T, GpuError>) -> Option<T> {
         if self == Self::Cpu {
             return None;
@@ -40,7 +40,7 @@ impl Device {
     }
 }
 
-/// The warning of a node that goes on without the GPU.
+/// The warning of a node that continues without the GPU.
 pub fn given_up(reason: &dyn std::fmt::Display) -> String {
-    format!("the processor computes the pictures: {reason}")
+    format!("the processor computes the images: {reason}")
 }

@@ -1,13 +1,13 @@
-//! The device that a process computes on.
+//! The GPU device of the process.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use wgpu::{Adapter, Backends, Device, DeviceDescriptor, DeviceType, Instance, InstanceDescriptor, MemoryHints, Queue};
 
-/// Environment variable that chooses a device: a part of its name, or `software` for one that the processor plays (for tests).
+/// Environment variable that chooses a device: a part of its name, or `software` for a software device (for tests).
 pub const CHOICE: &str = "PANOSCOPE_GPU";
 
-/// Why the GPU does not do a piece of work.
+/// Work that the GPU cannot do.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum GpuError {
     /// No device was found.
@@ -15,7 +15,7 @@ pub enum GpuError {
         "no GPU was found through Vulkan ({found}): install its driver and the Vulkan loader, or set PANOSCOPE_GPU to a part of a device's name"
     )]
     NotFound {
-        /// The devices that are there and why they are not taken.
+        /// The devices found and why they are not used.
         found: String,
     },
     /// The driver refused to open the device.
@@ -26,9 +26,9 @@ pub enum GpuError {
         /// Message of the driver.
         reason: String,
     },
-    /// A picture does not fit into a buffer of the device.
+    /// An image does not fit into a buffer of the device.
     #[error(
-        "{name} takes buffers of at most {limit_bytes} bytes, this picture needs {bytes}: use smaller pictures, or the processor"
+        "{name} takes buffers of at most {limit_bytes} bytes, but this image needs {bytes}: use smaller images, or the processor"
     )]
     TooLarge {
         /// The device.
@@ -46,10 +46,10 @@ pub enum GpuError {
         /// Message of the driver.
         reason: String,
     },
-    /// Pictures and maps do not fit together.
+    /// Images and maps do not fit together.
     #[error("{what}")]
     Input {
-        /// What does not fit.
+        /// Description of the mismatch.
         what: String,
     },
 }
@@ -74,8 +74,8 @@ impl Gpu {
         SHARED.get_or_init(|| Self::open(std::env::var(CHOICE).ok().as_deref()).map(Arc::new)).clone()
     }
 
-    /// Opens a device. `choice` as in [`CHOICE`]; without one a discrete GPU goes before an integrated one, and a device that the processor plays is not
-    /// taken.
+    /// Opens a device. `choice` as in [`CHOICE`]; without one a discrete GPU goes before an integrated one, and a
+    /// software device is not used.
     ///
     /// # Errors
     /// [`GpuError::NotFound`] and [`GpuError::Refused`].
@@ -120,7 +120,7 @@ impl Gpu {
         &self.name
     }
 
-    /// What has failed since the last call, if anything has.
+    /// Returns the failure since the last call, if there was one.
     pub(crate) fn check(&self) -> Result<(), GpuError> {
         match self.fault.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(reason) => Err(self.failed(reason)),
@@ -144,7 +144,7 @@ impl Gpu {
     }
 }
 
-/// Order in which devices are taken; `None` for those that are not.
+/// Preference of a device; `None` if it is not usable.
 fn rank(adapter: &Adapter, choice: Option<&str>) -> Option<u8> {
     let info = adapter.get_info();
     match choice.map(str::trim).filter(|choice| !choice.is_empty()) {

@@ -1,8 +1,8 @@
-//! Image work on a GPU through Vulkan: the same results as the functions of `panoscope-imaging`, but for rounding.
+//! Image work on a GPU through Vulkan: the same results as the functions of `panoscope-imaging`, up to rounding.
 //!
-//! [`Gpu::shared`] finds the device, once in a process. Each kernel keeps its memory on the device and takes and gives pictures in the host's
-//! memory: a frame costs a copy there and a copy back, which pays for pictures of 1920x1080 and more.
-//! Nothing needs a GPU: whoever uses a kernel keeps the function of `panoscope-imaging` for the case that there is none, or that it fails.
+//! [`Gpu::shared`] finds the device, once in a process. Each kernel keeps its memory on the device and uses images in
+//! the host's memory: a frame costs a copy there and a copy back, which pays for images of 1920x1080 and more. No GPU
+//! is required: users of a kernel fall back to the function of `panoscope-imaging` if there is no GPU or it fails.
 
 mod block_matching;
 mod choice;

@@ -1,4 +1,4 @@
-//! Memory of a kernel on the device, and the way of pictures there and back.
+//! Memory of a kernel on the device, and transfers of images.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError, mpsc};
@@ -9,12 +9,12 @@ use wgpu::{Buffer, BufferDescriptor, BufferUsages, BufferViewMut, CommandEncoder
 
 use crate::device::{Gpu, GpuError};
 
-/// Bytes of a row of a BGR picture on the device: whole groups of four pixels, three words each.
+/// Bytes of a row of a BGR image on the device: whole groups of four pixels, three words each.
 pub fn row_bytes(width: usize) -> usize {
     width.div_ceil(4) * 12
 }
 
-/// Time within which the end of work that is done is reported.
+/// Time limit for the report of finished work.
 const ANSWER: Duration = Duration::from_secs(5);
 
 /// A buffer that grows.
@@ -24,7 +24,7 @@ pub struct Store {
 }
 
 impl Store {
-    /// Makes it at least `bytes` long. Returns the buffer; a new one has no content.
+    /// Ensures a size of at least `bytes`. Returns the buffer; the content of a new one is undefined.
     pub fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> Result<&Buffer, GpuError> {
         self.reserve_as(gpu, bytes, BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC)
     }
@@ -46,17 +46,17 @@ impl Store {
     }
 }
 
-/// What goes to the device with a frame, in one piece, and what comes back.
+/// Upload and download of a frame.
 #[derive(Debug, Default)]
 pub struct Transfer {
     up: Store,
     down: Store,
-    /// A frame has begun and not come back: one that failed may have left its memory with the device.
+    /// Whether a frame has begun and not finished; a failed one may have left its memory with the device.
     is_open: bool,
 }
 
 impl Transfer {
-    /// Memory of `bytes` bytes to be filled with what goes to the device.
+    /// Returns memory of `bytes` bytes for the upload.
     pub fn begin<'t>(&'t mut self, gpu: &'t Gpu, bytes: u64) -> Result<Filling<'t>, GpuError> {
         if std::mem::replace(&mut self.is_open, true) {
             *self = Self { is_open: true, ..Self::default() };
@@ -65,15 +65,15 @@ impl Transfer {
         Ok(Filling { gpu, buffer })
     }
 
-    /// Copies `bytes` bytes of what was filled, from `from` on, to the start of `target`.
+    /// Copies `bytes` bytes of the upload, from `from` on, to the start of `target`.
     pub fn send(&self, encoder: &mut CommandEncoder, from: u64, target: &Buffer, bytes: u64) {
         if let Some(up) = self.up.buffer() {
             encoder.copy_buffer_to_buffer(up, from, target, 0, bytes.next_multiple_of(4));
         }
     }
 
-    /// Runs what was encoded, after what was filled has been handed over, does `meanwhile`, brings the first `bytes` bytes of `result` back and shows them to
-    /// `read`.
+    /// Submits the upload and the encoded work, calls `meanwhile`, downloads the first `bytes` bytes of `result` and
+    /// passes them to `read`.
     pub fn finish(
         &mut self,
         gpu: &Gpu,
@@ -106,7 +106,7 @@ impl Transfer {
         match seen.recv_timeout(ANSWER) {
             Ok(Ok(())) => {}
             Ok(Err(e)) => return Err(gpu.failed(e)),
-            Err(_) => return Err(gpu.failed("it did not answer")),
+            Err(_) => return Err(gpu.failed("it did not respond")),
         }
         let view = part.get_mapped_range().map_err(|e| gpu.failed(e))?;
         read(&view);
@@ -117,7 +117,7 @@ impl Transfer {
     }
 }
 
-/// Memory that goes to the device, while it is filled. Parts begin at multiples of 16 bytes.
+/// Upload memory while it is filled. Parts begin at multiples of 16 bytes.
 pub struct Filling<'t> {
     gpu: &'t Gpu,
     buffer: &'t Buffer,
@@ -135,7 +135,7 @@ impl Filling<'_> {
         Ok(())
     }
 
-    /// Writes the rows of a picture.
+    /// Writes the rows of an image.
     pub fn write_rows(&self, start: usize, upload: &Upload<'_>, pool: &dyn Parallel) -> Result<(), GpuError> {
         let (stride, height) = (upload.stride(), upload.part.height);
         let mut bands = Vec::with_capacity(height.div_ceil(ROWS));
@@ -153,15 +153,15 @@ impl Filling<'_> {
     }
 }
 
-/// Bytes of a picture that goes to the device as it lies in memory, its padding included.
+/// Bytes of an image uploaded with its padding.
 pub fn picture_bytes(view: &View<'_, u8>) -> u64 {
     (view.data.len() as u64 + 12).next_multiple_of(16)
 }
 
-/// Rows that a thread copies at once; so many rows are a multiple of 16 bytes.
+/// Rows that a thread copies at a time; their size is a multiple of 16 bytes.
 const ROWS: usize = 64;
 
-/// Columns of a BGR picture as they go to the device, row after row without padding.
+/// Columns of a BGR image for the upload, row after row without padding.
 #[derive(Clone, Copy, Debug)]
 pub struct Upload<'v> {
     part: View<'v, u8>,
@@ -179,13 +179,13 @@ impl<'v> Upload<'v> {
         self.part.width * self.part.channels
     }
 
-    /// Bytes that it takes, with room for kernels that read whole words.
+    /// Size in bytes, with padding for kernels that read whole words.
     pub fn bytes(&self) -> u64 {
         ((self.stride() * self.part.height) as u64 + 12).next_multiple_of(16)
     }
 }
 
-/// Calls `row` with each row of a picture and its number, on several threads.
+/// Calls `row` with each row of an image and its number, on several threads.
 pub fn each_row<T: Send>(out: &mut ViewMut<'_, T>, pool: &dyn Parallel, row: impl Fn(usize, &mut [T]) + Sync) {
     let (stride, width, height) = (out.stride, out.width * out.channels, out.height);
     let bands: Vec<_> = out.data.chunks_mut((stride * ROWS).max(1)).map(Mutex::new).collect();
@@ -197,7 +197,7 @@ pub fn each_row<T: Send>(out: &mut ViewMut<'_, T>, pool: &dyn Parallel, row: imp
     });
 }
 
-/// Writes the rows of a picture of the device, which is as wide as `columns`, into those columns of a BGR picture.
+/// Writes the rows of an image of the device, which is as wide as `columns`, into those columns of a BGR image.
 pub fn unpack(rows: &[u8], columns: Range<usize>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) {
     let (bytes, per_row) = (columns.len() * 3, row_bytes(columns.len()));
     each_row(out, pool, |y, row| {

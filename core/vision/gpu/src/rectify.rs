@@ -12,16 +12,16 @@ use crate::memory::{Store, Transfer, Upload, row_bytes, unpack};
 /// Bytes of a call's sizes as the shader reads them.
 const SIZE_BYTES: u64 = 32;
 
-/// A view and where its rectified picture goes.
+/// A view and its rectified image.
 #[derive(Debug)]
 pub struct RectifyJob<'v, 'o> {
-    /// The camera's picture, BGR.
+    /// The camera's image, BGR.
     pub view: View<'v, u8>,
-    /// The rectified picture.
+    /// The rectified image.
     pub out: ViewMut<'o, u8>,
 }
 
-/// What one view needs on the device.
+/// Device memory of one view.
 #[derive(Debug, Default)]
 struct Side {
     corners: Store,
@@ -38,7 +38,7 @@ pub struct Rectifier {
     gpu: Arc<Gpu>,
     kernel: Kernel,
     factor: usize,
-    /// Size of the pictures that the maps read, and of those that they make; `None` when views are only shrunk.
+    /// Size of the images that the maps read, and of those that they make; `None` when views are only shrunk.
     sizes: Option<[(usize, usize); 2]>,
     sides: [Side; 2],
     target: Store,
@@ -46,10 +46,12 @@ pub struct Rectifier {
 }
 
 impl Rectifier {
-    /// A rectifier that shrinks views by `factor` and turns them by `maps`, left and right; without maps it only shrinks.
+    /// A rectifier that shrinks views by `factor` and rectifies them with `maps`, left and right; without maps it only
+    /// shrinks.
     ///
     /// # Errors
-    /// [`GpuError::Input`] for maps of different sizes or of a part of a view, and for nothing to do; errors of the device.
+    /// [`GpuError::Input`] for maps of different sizes or of a part of a view, and if there is nothing to do; errors of
+    /// the device.
     pub fn new(gpu: Arc<Gpu>, factor: usize, maps: Option<[&RemapTable; 2]>) -> Result<Self, GpuError> {
         let refuse = |what: &str| Err(GpuError::Input { what: what.into() });
         if factor == 0 || (factor == 1 && maps.is_none()) {
@@ -88,7 +90,7 @@ impl Rectifier {
     /// Rectifies the left view, the right view, or both; `None` leaves a side out.
     ///
     /// # Errors
-    /// [`GpuError::Input`] for a picture whose size is not that of the maps; errors of the device.
+    /// [`GpuError::Input`] for an image whose size is not that of the maps; errors of the device.
     pub fn run(&mut self, jobs: [Option<RectifyJob<'_, '_>>; 2], pool: &dyn Parallel) -> Result<(), GpuError> {
         // Sizes of both calls of both sides stand in front of the views.
         let mut words = [0_u32; 4 * SIZE_BYTES as usize / 4];
@@ -184,7 +186,7 @@ impl Rectifier {
         )
     }
 
-    /// Size of what a job makes.
+    /// Size of the image that a job makes.
     fn made(&self, job: &RectifyJob<'_, '_>) -> Result<(usize, usize), GpuError> {
         let small = (job.view.width / self.factor, job.view.height / self.factor);
         let (wanted, made) = self.sizes.map_or((small, small), |[from, to]| (from, to));

@@ -10,11 +10,11 @@ use crate::device::{Gpu, GpuError};
 use crate::kernel::Kernel;
 use crate::memory::{Store, Transfer, Upload, each_row, row_bytes, unpack};
 
-/// Words of a view's place in the shader, and of what stands before the first one.
+/// Words of a view's placement in the shader.
 const PLACE_WORDS: usize = 40;
 const HEAD_WORDS: usize = 4;
 const CANVAS_BYTES: u64 = 4 * (HEAD_WORDS + 2 * PLACE_WORDS) as u64;
-/// Bytes that starts of parts in the upload are multiples of.
+/// Alignment of parts in the upload, bytes.
 const ALIGNMENT: u64 = 16;
 
 /// Draws panoramas of one or two views. Keeps its memory on the device.
@@ -45,7 +45,8 @@ fn integers<const N: usize>(values: [i64; N]) -> [[u8; 4]; N] {
     values.map(|value| (value as i32).to_le_bytes())
 }
 
-/// Columns of the canvas that the device draws: those with the second view, and those in which the first one is not merely shifted. Whole groups of four.
+/// Columns of the canvas that the device draws: those with the second view, and those in which the first one is not
+/// merely shifted. Whole groups of four.
 fn drawn_columns(views: &[DrawnView<'_>], runs: &Runs, (width, height): (usize, usize)) -> Range<usize> {
     if views[0].shift.is_none() {
         return 0..width;
@@ -91,7 +92,8 @@ fn draw_rest(drawing: &Drawing<'_>, columns: &Range<usize>, out: &mut ViewMut<'_
     });
 }
 
-/// The place of a view as the shader reads it; `start` is where its first pixel lies or would lie, `stride` the bytes of a row, `first_vertex` its first vertex.
+/// Writes a view's placement for the shader; `start` is the offset of its first pixel, `stride` the bytes of a row,
+/// `first_vertex` its first vertex.
 fn put_place(
     words: &mut Vec<u8>,
     view: &DrawnView<'_>,
@@ -128,7 +130,7 @@ impl Warper {
     /// Prepares a device.
     ///
     /// # Errors
-    /// [`GpuError::Failed`] when it does not take the shader.
+    /// [`GpuError::Failed`] if it rejects the shader.
     pub fn new(gpu: Arc<Gpu>) -> Result<Self, GpuError> {
         let parts = [include_str!("shaders/warp.wgsl"), include_str!("shaders/bytes.wgsl")];
         let kernel = Kernel::new(&gpu, "warp", &parts)?;
@@ -150,7 +152,7 @@ impl Warper {
     /// Draws a panorama; see [`Painter::paint`].
     ///
     /// # Errors
-    /// When a picture does not fit into the device or the device fails.
+    /// When an image does not fit into the device or the device fails.
     pub fn draw(
         &mut self,
         drawing: &Drawing<'_>,

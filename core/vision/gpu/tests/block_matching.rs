@@ -1,4 +1,5 @@
-//! Disparities matched on the device are those of the processor: the same pixels are unmatched, the others agree to 0.001 px.
+//! Disparities matched on the device are those of the processor: the same pixels are unmatched, the others agree to
+//! 0.001 px.
 
 use crate::common::device;
 use panoscope_gpu::{GpuBlockMatcher, GpuError};
@@ -17,8 +18,9 @@ fn hash(x: usize, y: usize, seed: u32) -> u32 {
     (mixed ^ (mixed >> 13)).wrapping_mul(0x297a_2d39) >> 7
 }
 
-/// Left and right rows of `width + PADDING` bytes. The right view is the left one, moved by disparities that change in steps from `shift` on, with
-/// noise; a quarter of the left view is nearly flat, another one repeats itself, so that each test of the matcher rejects pixels.
+/// Left and right rows of `width + PADDING` bytes. The right view is the left one, moved by disparities that change in
+/// steps from `shift` on, with noise; a quarter of the left view is nearly flat, another one repeats itself, so that
+/// each test of the matcher rejects pixels.
 fn pair(width: usize, height: usize, shift: i32, seed: u32) -> [Vec<u8>; 2] {
     let texture = |x: i32, y: usize| {
         let x = (x + 5000) as usize;
@@ -56,7 +58,8 @@ fn maps(
     maps
 }
 
-/// Compares maps with `width + PADDING` values per row; returns how many are known, and how many are not equal to the last bit.
+/// Compares maps with `width + PADDING` values per row; returns how many are known, and how many are not equal to the
+/// last bit.
 fn compare(found: &[f32], expected: &[f32], width: usize, what: &str) -> (usize, usize) {
     let (mut known, mut rounded) = (0, 0);
     for (at, (a, b)) in found.iter().zip(expected).enumerate() {
@@ -76,7 +79,8 @@ fn lent<'a>(map: &'a mut ViewMut<'_, f32>) -> ViewMut<'a, f32> {
     ViewMut::with_stride(map.data, map.width, map.height, 1, map.stride)
 }
 
-/// Matches a pair on the device and the processor and compares; returns the share of pixels of the left view that are known.
+/// Matches a pair on the device and the processor and compares; returns the share of pixels of the left view that are
+/// known.
 fn check(
     matcher: &mut GpuBlockMatcher,
     params: &BlockMatchingParams,

@@ -1,4 +1,4 @@
-//! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
+//! All tests of the package as one program: `cargo nextest` runs each test in a separate process.
 
 mod block_matching;
 mod common;

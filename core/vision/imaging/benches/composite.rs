@@ -1,5 +1,5 @@
-//! Time of the compositor per frame: two views, geometry held and moving, 1 and 2 threads. A word as argument picks the cases whose
-//! line holds it: `cargo bench --bench composite -- "640x480 held   1"`.
+//! Time of the compositor per frame: two views, geometry held and moving, 1 and 2 threads. A word as argument picks the
+//! cases whose line holds it: `cargo bench --bench composite -- "640x480 held   1"`.
 
 use panoscope_base::Threads;
 use panoscope_imaging::geometry::Homography;

@@ -1,5 +1,6 @@
-//! Time of a panorama by a mesh per frame: the mesh brought up to the disparity, and the picture drawn by it; moving views, 1 and 2 threads. A word as
-//! argument picks the cases whose line holds it: `cargo bench --bench mesh -- "640x480 2"`.
+//! Time of a panorama by a mesh per frame: the mesh brought up to the disparity, and the picture drawn by it; moving
+//! views, 1 and 2 threads. A word as argument picks the cases whose line holds it: `cargo bench --bench mesh --
+//! "640x480 2"`.
 
 use panoscope_base::Threads;
 use panoscope_imaging::geometry::Homography;

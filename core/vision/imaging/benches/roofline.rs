@@ -1,5 +1,5 @@
-//! Kernels against the limits of the machine, on one thread: bytes that they read and write, operations, and the share of what memory and vector units
-//! can do. Prints a table for `core/vision/imaging/README.md`.
+//! Kernels against the limits of the machine, on one thread: bytes that they read and write, operations, and the share
+//! of what memory and vector units can do. Prints a table for `core/vision/imaging/README.md`.
 
 use panoscope_base::gray::bgr_to_gray;
 use panoscope_imaging::fit::Fit;

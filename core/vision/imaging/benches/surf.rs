@@ -1,8 +1,8 @@
 //! SURF on a synthetic 640x480 texture: detection and description at 500, 1000 and 2000 points.
 //!
 //! `cargo bench -p panoscope-imaging --bench surf` prints minimum and median milliseconds.
-//! `SURF_IMAGE=file.gray,WIDTH,HEIGHT` replaces the texture by a raw 8-bit image. A word as argument picks the cases whose name holds
-//! it.
+//! `SURF_IMAGE=file.gray,WIDTH,HEIGHT` replaces the texture by a raw 8-bit image. A word as argument picks the cases
+//! whose name holds it.
 
 use std::time::Instant;
 

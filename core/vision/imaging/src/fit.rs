@@ -1,23 +1,24 @@
-//! Pictures scaled into rectangles of others.
+//! Scales images into rectangles of other images.
 
 use crate::grow::Grow;
 use crate::{Simd, View, ViewMut};
 
-/// Scales pictures into others; reuses its buffers.
+/// Scales images into others; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Fit {
     simd: Simd,
     columns: Columns,
-    /// The source rows under one row, averaged.
+    /// Average of the source rows under one row.
     row: Vec<u8>,
-    /// The same, added up.
+    /// Sum of the source rows under one row.
     sums: Vec<u16>,
     grow: Grow,
 }
 
 impl Fit {
-    /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of the
-    /// source pixels under each pixel when it shrinks, between the nearest ones when a picture in colour grows in both directions. What leaves `out` is cut.
+    /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR image: the mean of
+    /// the source pixels under each pixel when it shrinks, between the nearest ones when an image in colour grows in
+    /// both directions. Parts outside `out` are clipped.
     pub fn place(
         &mut self,
         out: &mut ViewMut<'_, u8>,
@@ -101,13 +102,13 @@ impl Fit {
     }
 }
 
-/// Which source pixels of three bytes lie under each column.
+/// Source pixels of three bytes under each column.
 #[derive(Debug, Default)]
 struct Columns {
     /// First byte of the first pixel under each column, and of the last one.
     first: Vec<u32>,
     last: Vec<u32>,
-    /// No pixel begins later than here.
+    /// Maximum start of a pixel.
     latest: u32,
     /// Maximum number of pixels under one column.
     most: u32,
@@ -184,7 +185,8 @@ unsafe fn pairs_avx2(row: &[u8], columns: &Columns, target: &mut [u8]) -> usize 
     done
 }
 
-/// The mean of all pixels under each column, from the sums of `rows` rows, which have [`PADDING`] values behind the last pixel.
+/// The mean of all pixels under each column, from the sums of `rows` rows, which have [`PADDING`] values behind the
+/// last pixel.
 fn means(simd: Simd, sums: &[u16], columns: &Columns, target: &mut [u8], rows: usize) {
     // Reciprocals of the usual counts of pixels.
     let shares = [1, 2, 3].map(|columns| share(rows * columns));
@@ -214,7 +216,8 @@ fn means(simd: Simd, sums: &[u16], columns: &Columns, target: &mut [u8], rows: u
 /// The first pixels of [`means`], four at a time; returns how many.
 ///
 /// # Safety
-/// The processor has AVX2. At most three pixels lie under a column, their sums have 16 bits, and from the first one of each column on `sums` has ten values.
+/// The processor has AVX2. At most three pixels lie under a column, their sums have 16 bits, and from the first one of
+/// each column on `sums` has ten values.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn means_avx2(sums: &[u16], columns: &Columns, target: &mut [u8], shares: [u32; 3]) -> usize {
@@ -267,7 +270,7 @@ fn share(count: usize) -> u32 {
 
 /// Binary places of the reciprocal of a count of pixels.
 const SHARE_BITS: u32 = 20;
-/// So many pixels of eight bits add up to at most sixteen bits.
+/// Number of 8-bit pixels whose sum fits into 16 bits.
 const LANE_PIXELS: usize = 257;
 
 /// Sums of the three channels of at most [`LANE_PIXELS`] pixels, one value behind them: all channels in one addition.

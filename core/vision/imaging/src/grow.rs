@@ -1,13 +1,13 @@
-//! Pictures made larger: each pixel lies between four of the source.
+//! Enlarges images by bilinear interpolation.
 
 use crate::{Simd, View, ViewMut};
 
-/// Weights are multiples of a 128th: products of bytes and weights fit into 16 bits.
+/// Unit of weights, so that products of bytes and weights fit into 16 bits.
 const ONE: u32 = 128;
 const HALVES: u32 = 0x0040_0040;
 const EVEN: u32 = 0x00ff_00ff;
 
-/// Enlarges pictures of three bytes per pixel; reuses its buffers.
+/// Enlarges images of three bytes per pixel; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Grow {
     columns: Columns,
@@ -15,7 +15,7 @@ pub struct Grow {
     row: Vec<u8>,
 }
 
-/// Where the columns lie between pixels of the source.
+/// Positions of the columns between pixels of the source.
 #[derive(Debug, Default)]
 struct Columns {
     /// For each column the first byte of the pixel to its left.
@@ -27,7 +27,8 @@ struct Columns {
 /// Bytes behind a row: four are read at each pixel and at the one behind it.
 const PADDING: usize = 4;
 
-/// The pixel before the middle of pixel `at` of `target`, and the weight of the one behind it, where `source` pixels have become `target`.
+/// The source pixel before the centre of pixel `at`, and the weight of the next one, for `source` pixels scaled to
+/// `target`.
 fn between(at: usize, target: usize, source: usize) -> (usize, u32) {
     // In 256ths of a source pixel, measured from the first one's middle.
     let place = ((2 * at + 1) * source * 128 / target).saturating_sub(128);
@@ -35,7 +36,7 @@ fn between(at: usize, target: usize, source: usize) -> (usize, u32) {
     if first + 1 < source { (first, weight) } else { (source - 1, 0) }
 }
 
-/// Four bytes between those of `a` and `b`.
+/// Interpolates four bytes between `a` and `b`.
 fn mix(a: u32, b: u32, weight: u32) -> u32 {
     let even = ((a & EVEN) * (ONE - weight) + (b & EVEN) * weight + HALVES) >> 7 & EVEN;
     let odd = (((a >> 8) & EVEN) * (ONE - weight) + ((b >> 8) & EVEN) * weight + HALVES) >> 7 & EVEN;
@@ -43,7 +44,8 @@ fn mix(a: u32, b: u32, weight: u32) -> u32 {
 }
 
 impl Grow {
-    /// Puts `picture` at `(x, y)` of `out` as `width` x `height` pixels, no fewer than it has. What leaves `out` is cut.
+    /// Puts `picture` at `(x, y)` of `out` as `width` x `height` pixels, at least its own size. Parts outside `out` are
+    /// clipped.
     pub fn place(
         &mut self,
         simd: Simd,

@@ -1,8 +1,8 @@
 //! Imaging algorithms of Panoscope as plain functions on slices.
 //!
-//! Nothing here knows a framework type. Functions take [`View`]s and a [`Parallel`]; the caller
-//! decides whose threads run the chunks. Work memory lives in structs that the caller keeps, so that
-//! nothing is allocated per frame. [`Simd`] chooses AVX2 paths at run time; a portable path always exists.
+//! This crate knows no framework type. Functions take [`View`]s and a [`Parallel`]; the caller decides whose threads
+//! run the chunks. Work memory is in structs that the caller keeps, so that nothing is allocated per frame. [`Simd`]
+//! chooses AVX2 paths at run time; a portable path always exists.
 
 mod grow;
 mod pieces;

@@ -1,7 +1,7 @@
-//! Pieces of a grid: cells that hang together over their four neighbours.
+//! Pieces of a grid: cells that are connected through their four neighbours.
 
-/// Finds the cells that hang together with `start`, which is not visited yet, in a grid of so many columns and rows: `piece` gets their indices, and
-/// they are visited from here on. `is_linked` tells whether two neighbours hang together.
+/// Finds the cells connected with `start`, which must not be visited yet, in a grid of this size. Their indices are
+/// written to `piece` and marked as visited. `is_linked` says whether two neighbours are connected.
 pub fn grow(
     start: usize,
     (columns, rows): (usize, usize),

@@ -1,4 +1,4 @@
-//! A slice that the chunks of one loop write in parts.
+//! A slice whose disjoint parts are written by the chunks of one loop.
 
 /// A pointer that chunks of one loop may share while they write disjoint parts of a slice.
 ///
@@ -23,7 +23,8 @@ impl<'a, T> SharedMut<'a, T> {
         Self { base: slice.as_mut_ptr(), len: slice.len(), lifetime: std::marker::PhantomData }
     }
 
-    /// Address of element `index`, for kernels that advance a pointer. They may touch only elements that no other chunk touches.
+    /// Address of element `index`, for kernels that advance a pointer. They may touch only elements that no other chunk
+    /// touches.
     pub(crate) fn address(&self, index: usize) -> *mut T {
         self.base.wrapping_add(index)
     }

@@ -1,30 +1,32 @@
-//! Colour pictures shrunk by a whole factor.
+//! Colour images shrunk by a whole factor.
 
 use crate::simd::dispatch;
 use crate::{Parallel, SharedMut, Simd, View, ViewMut};
 
-/// Rows of the small picture per chunk.
+/// Rows of the small image per chunk.
 const ROWS: usize = 16;
-/// Values of a row that are added up at once; their sums lie on the stack.
+/// Values of a row that are summed per step; their sums are on the stack.
 const TILE: usize = 3072;
 
 /// Largest factor: sums of more pixels leave 16 bits.
 pub const MAX_FACTOR: usize = 16;
 
-/// A coordinate of a shrunk picture in pixels of the large one: the middle of a block of pixels is that of the small pixel.
+/// A coordinate of a shrunk image in pixels of the large one: the middle of a block of pixels is that of the small
+/// pixel.
 pub fn enlarged_px(at: f64, factor: usize) -> f64 {
     (at + 0.5) * factor as f64 - 0.5
 }
 
-/// The other way round.
+/// The inverse of [`enlarged_px`].
 pub fn shrunk_px(at: f64, factor: usize) -> f64 {
     (at + 0.5) / factor as f64 - 0.5
 }
 
-/// Mean of every `factor` x `factor` block of a picture, rounded, for each channel. Remainders at the right and at the bottom are dropped.
+/// Mean of every `factor` x `factor` block of an image, rounded, for each channel. Remainders at the right and at the
+/// bottom are dropped.
 ///
 /// # Panics
-/// When `factor` is not in `1..=MAX_FACTOR`, or `out` has not the picture's size divided by it and its channels.
+/// When `factor` is not in `1..=MAX_FACTOR`, or `out` has not the image's size divided by it and its channels.
 pub fn shrink(picture: View<'_, u8>, factor: usize, out: ViewMut<'_, u8>, pool: &dyn Parallel) {
     shrink_with(Simd::detect(), picture, factor, out, pool);
 }
@@ -132,7 +134,8 @@ fn four(lines: [&[u8]; 4], channels: usize, sums: &mut [u16], means: &mut [u8]) 
     blocks(lines, channels, sums, means);
 }
 
-/// As [`add`] for all rows and then [`mean`], where the compiler knows the factor: many values at once, and no division.
+/// As [`add`] for all rows and then [`mean`], where the compiler knows the factor: many values at once, and no
+/// division.
 #[inline(always)]
 fn blocks<const N: usize>(lines: [&[u8]; N], channels: usize, sums: &mut [u16], means: &mut [u8]) {
     const { assert!(N >= 2 && N <= 4, "beyond 4 the product below is not exact") }

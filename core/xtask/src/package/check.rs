@@ -1,4 +1,4 @@
-//! Installs a package into a bare Debian and uses it there.
+//! Installs a package into a minimal Debian and uses it there.
 
 use std::path::Path;
 use std::process::Command;
@@ -8,8 +8,9 @@ use anyhow::{Context, Result};
 use crate::process::{capture, find_program, run};
 use crate::workspace::Workspace;
 
-/// Installs the package in a chroot below `dir`, runs what it holds as an unprivileged user, upgrades and purges it. The chroot stays for the
-/// next check, and `dir/screens` keeps pictures of both windows. Where that cannot be done, a line says why.
+/// Installs the package in a chroot below `dir`, runs its programs as an unprivileged user, upgrades and purges it. The
+/// chroot stays for the next check, and `dir/screens` has screenshots of both windows. If the check is impossible, a
+/// line gives the reason.
 ///
 /// # Errors
 /// A step failed; its output is above.
@@ -25,7 +26,7 @@ pub fn check(workspace: &Workspace, package: &Path, dir: &Path) -> Result<()> {
     run(&mut command).context("the package failed its check")
 }
 
-/// Why nothing can be installed into a bare Debian here for a check, which needs these programs.
+/// The reason for which a check in a minimal Debian, which needs these programs, is impossible here.
 pub fn obstacle(programs: &[&str]) -> Option<String> {
     if let Some(missing) = programs.iter().find(|program| find_program(program).is_none()) {
         return Some(format!("there is no `{missing}`"));

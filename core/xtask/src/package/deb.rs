@@ -12,11 +12,11 @@ use crate::install::binaries;
 use crate::install::{self, Kind, LIBRARY};
 use crate::process::{capture, run};
 
-/// GStreamer's elements are loaded at run time, so that `dpkg-shlibdeps` does not see their packages: those without which no camera and no
-/// file opens.
+/// GStreamer's elements are loaded at run time, so that `dpkg-shlibdeps` does not see their packages: those that all
+/// cameras and files need.
 const DEPENDS: &str = "gstreamer1.0-plugins-base, gstreamer1.0-plugins-good";
 
-/// The same for codecs, for what the windows load, and for programs that users start themselves.
+/// Packages of codecs, of libraries that the windows load, and of programs that users start.
 const RECOMMENDS: &str = "ffmpeg, gstreamer1.0-libav, gstreamer1.0-nice, gstreamer1.0-plugins-bad, gstreamer1.0-plugins-ugly, gstreamer1.0-rtsp, \
                           libegl1, libgl1, libvulkan1, libwayland-client0, libx11-6, libx11-xcb1, libxcursor1, libxi6, libxkbcommon-x11-0, libxkbcommon0, \
                           libxrandr2, v4l-utils";
@@ -29,13 +29,14 @@ const DESCRIPTION: &str = "stereo endoscope panoramas, depth and guidance
  It is research software and no medical device.
 ";
 
-/// Sizes of the icon as a picture, px; window managers without SVG use them.
+/// Sizes of the icon as PNG, px; window managers without SVG use them.
 const ICON_SIZES_PX: [u32; 5] = [16, 32, 48, 128, 256];
 
-/// Who answers for the package, as `Name <address>`: from `DEBEMAIL` and `DEBFULLNAME` as Debian's tools take them, else git's user.
+/// Maintainer of the package, as `Name <address>`: from `DEBEMAIL` and `DEBFULLNAME` as for Debian's tools, else git's
+/// user.
 ///
 /// # Errors
-/// Neither names an address.
+/// Neither has an address.
 pub fn maintainer() -> Result<String> {
     let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.trim().is_empty());
     let git = |key: &str| {
@@ -46,12 +47,12 @@ pub fn maintainer() -> Result<String> {
     match field(name.or_else(|| git("user.name")), address.or_else(|| git("user.email"))) {
         Some(maintainer) => Ok(maintainer),
         None => {
-            bail!("a package names who made it: set DEBEMAIL=\"Name <address>\", or git's user.name and user.email")
+            bail!("a package needs a maintainer: set DEBEMAIL=\"Name <address>\", or git's user.name and user.email")
         }
     }
 }
 
-/// `Name <address>`, where the address may hold the name already.
+/// `Name <address>`, where the address may include the name.
 fn field(name: Option<String>, address: Option<String>) -> Option<String> {
     let address = address.filter(|address| address.contains('@'))?;
     if address.ends_with('>') {
@@ -88,7 +89,7 @@ impl Release<'_> {
         Ok(file)
     }
 
-    /// The tree, and what only a package manager can place.
+    /// Creates the tree, with the files that only a package manager can install.
     fn lay_out(&self, root: &Path, prefix: &Path, maintainer: &str) -> Result<()> {
         let share = prefix.join("share");
         copy_tree(&self.tree, prefix)?;
@@ -124,7 +125,7 @@ impl Release<'_> {
         run(Command::new("gzip").args(["-9", "--no-name"]).arg(doc.join("changelog")))
     }
 
-    /// The packages whose libraries the programs are linked with.
+    /// Debian packages of the libraries that the programs are linked with.
     fn libraries(&self, dir: &Path, prefix: &Path) -> Result<String> {
         let source = dir.join("shlibdeps");
         write(&source.join("debian/control"), "Source: panoscope\n\nPackage: panoscope\nArchitecture: any\n")?;

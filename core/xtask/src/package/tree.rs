@@ -30,7 +30,7 @@ pub fn move_file(from: &Path, to: &Path) -> Result<()> {
     fs::remove_file(from).with_context(|| format!("cannot remove {}", from.display()))
 }
 
-/// Copies a folder; links stay links.
+/// Copies a folder; keeps links.
 pub fn copy_tree(from: &Path, to: &Path) -> Result<()> {
     fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
     for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))? {
@@ -54,7 +54,7 @@ pub fn markdown_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(all.filter(|file| file.extension().is_some_and(|extension| extension == "md")).collect())
 }
 
-/// Files below a folder with their paths from there, in order of names. Follows no links.
+/// Files below a folder with relative paths, sorted by name. Does not follow links.
 pub fn files(root: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut folders = vec![root.to_owned()];
@@ -83,7 +83,8 @@ pub fn md5sums(root: &Path) -> Result<String> {
     capture(&mut command)
 }
 
-/// Folders and programs 755, other files 644, as Debian's policy wants. Programs are the files directly in `program_dir`.
+/// Folders and programs 755, other files 644, as Debian's policy requires. Programs are the files directly in
+/// `program_dir`.
 pub fn set_modes(root: &Path, program_dir: &str) -> Result<()> {
     for file in files(root)? {
         let path = root.join(&file);

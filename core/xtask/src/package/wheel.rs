@@ -1,7 +1,7 @@
-//! The Python package as a wheel: an installation below the package's own folder.
+//! The Python package as a wheel: an installation inside the package's folder.
 //!
-//! A wheel is a zip of files with their list. It has the package, its native part, and in `panoscope/installation` what `cargo xtask install` makes,
-//! without the windows.
+//! A wheel is a zip file with a list of its files. It has the package, its native part, and in `panoscope/installation`
+//! an installation as `cargo xtask install` makes it, without the windows.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,16 +17,16 @@ use crate::process::{capture, run};
 use crate::workspace::Workspace;
 use crate::{licences, onnxruntime};
 
-/// What the package needs, as `pip` reads it.
+/// Requirement of the package in `pip` syntax.
 const REQUIREMENT: &str = "numpy>=1.24,<3";
-/// What `Recording.to_rerun` needs.
+/// Requirement of `Recording.to_rerun`.
 const RERUN: &str = "rerun-sdk>=0.41";
-/// Oldest Python that the native part loads in.
+/// Minimum Python version of the native part.
 const PYTHON: &str = "3.9";
-/// Ticks of the graph that a check compares.
+/// Ticks that a check compares.
 const FRAMES: u32 = 20;
 
-/// A wheel and what it was made from.
+/// A wheel and its sources.
 pub struct Wheel {
     file: PathBuf,
     built: Built,
@@ -35,7 +35,7 @@ pub struct Wheel {
 /// Builds and writes `panoscope-VERSION-cp39-abi3-manylinux_2_N_ARCH.whl` into `dir`.
 ///
 /// # Errors
-/// The build fails, `python3` or `strip` is missing, ONNX Runtime cannot be had, or a file cannot be written.
+/// The build fails, `python3` or `strip` is missing, ONNX Runtime cannot be fetched, or a file cannot be written.
 pub fn wheel(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Wheel> {
     fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
     let dir = &dir.canonicalize()?;
@@ -58,7 +58,7 @@ pub fn wheel(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Whee
     binaries.iter().try_for_each(|file| strip(file))?;
     let version = env!("CARGO_PKG_VERSION");
     let minor = binaries.iter().map(|file| Ok(newest_glibc(&fs::read(file)?))).collect::<Result<Vec<_>>>()?;
-    let minor = minor.into_iter().max().flatten().context("no program names a version of the C library")?;
+    let minor = minor.into_iter().max().flatten().context("no program refers to a version of the C library")?;
     let tag = format!("cp{}-abi3-manylinux_2_{minor}_{}", PYTHON.replace('.', ""), std::env::consts::ARCH);
     add_metadata(workspace, &stage.join(format!("panoscope-{version}.dist-info")), version, &tag)?;
     let file = dir.join(format!("panoscope-{version}-{tag}.whl"));
@@ -70,7 +70,7 @@ pub fn wheel(workspace: &Workspace, dir: &Path, profile: Profile) -> Result<Whee
     Ok(Wheel { file, built })
 }
 
-/// What pip reads of a wheel.
+/// Adds the metadata for pip.
 fn add_metadata(workspace: &Workspace, folder: &Path, version: &str, tag: &str) -> Result<()> {
     let introduction = fs::read_to_string(workspace.root.join("core/python/README.md"))?;
     let metadata = format!(
@@ -101,7 +101,7 @@ fn elf_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// N of the newest `GLIBC_2.N` that a program or library names. Such names stand among its texts, once for each version that it needs.
+/// N of the newest `GLIBC_2.N` in the strings of a program or library, which has one for each version that it needs.
 fn newest_glibc(elf: &[u8]) -> Option<u32> {
     const NAME: &[u8] = b"GLIBC_2.";
     let version = |at: usize| {
@@ -112,8 +112,8 @@ fn newest_glibc(elf: &[u8]) -> Option<u32> {
     names.filter_map(version).max()
 }
 
-/// Installs the wheel into an empty environment in a bare Debian below `dir` and compares what graphs give there with the command here. The bare
-/// Debian stays for the next check. Where that cannot be done, a line says why.
+/// Installs the wheel into an empty environment in a minimal Debian below `dir` and compares outputs of graphs there
+/// with the command here. The Debian stays for the next check. If the check is impossible, a line gives the reason.
 ///
 /// # Errors
 /// A step failed, or fingerprints differ.
@@ -148,7 +148,7 @@ pub fn check_wheel(workspace: &Workspace, wheel: &Wheel, dir: &Path) -> Result<(
     Ok(())
 }
 
-/// Compares fingerprints by output and tick with those of the command; returns how many there were.
+/// Compares fingerprints by output and tick with those of the command; returns their number.
 fn compare(mine: &str, command: &str) -> Result<usize> {
     // The panorama comes out of a part.
     const NAMES: [(&str, &str); 2] = [("scope.left", "scope.left"), ("wide.panorama", "wide/composite.panorama")];

@@ -1,4 +1,4 @@
-//! What the process that guards an arm may do here: real-time priority, locked memory, a folder for latched stops.
+//! Permissions of the process that guards an arm: real-time priority, locked memory, a folder for latched stops.
 
 use std::process::{Command, Stdio};
 
@@ -8,10 +8,10 @@ use crate::beside;
 /// The guard's program.
 const PROGRAM: &str = "panoscope-arm";
 
-/// One line per thing: how it stands, its name, and what to do.
+/// Lines of the report: state, name, and remedy.
 pub type Lines = Vec<(State, String, String)>;
 
-/// Asks the guard's program, which tries it: the rights of a program can differ from those of this one.
+/// Runs the guard's program, because its permissions can differ from those of this program.
 pub fn lines() -> Lines {
     let absent = |words: String| vec![(State::Optional, PROGRAM.to_owned(), words)];
     let program = beside::file(PROGRAM).unwrap_or_default();
@@ -29,7 +29,7 @@ pub fn lines() -> Lines {
     }
 }
 
-/// Reads a line of `panoscope-arm --check`: `ok` or `absent`, what it is, about it; tabs between them.
+/// Reads a line of `panoscope-arm --check`: `ok` or `absent`, name and details, separated by tabs.
 fn read(line: &str) -> Option<(State, String, String)> {
     let mut parts = line.split('\t');
     let state = match parts.next()? {

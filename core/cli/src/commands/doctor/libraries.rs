@@ -1,10 +1,11 @@
-//! Libraries that are loaded when they are needed: GStreamer with its elements, OpenCV, ONNX Runtime.
+//! Libraries that are loaded on demand: GStreamer with its elements, OpenCV, ONNX Runtime.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Elements that nodes use by name, with Debian's package of each; the packages that everything with video needs come first.
+/// Elements that nodes use by name, with Debian's package of each; the packages that everything with video needs come
+/// first.
 pub const ELEMENTS: &[(&str, &str, &[&str])] = &[
     (
         "gstreamer1.0-plugins-base",
@@ -27,16 +28,16 @@ pub const ELEMENTS: &[(&str, &str, &[&str])] = &[
     ("gstreamer1.0-libav", "reading H.264 and H.265", &["avdec_h264", "avdec_h265"]),
 ];
 
-/// GStreamer, opened at run time: the command itself is not linked with it.
+/// GStreamer, opened at run time: the command does not link it.
 pub struct GStreamer {
     find: unsafe extern "C" fn(*const c_char) -> *mut c_void,
     unref: unsafe extern "C" fn(*mut c_void),
-    /// As it names itself.
+    /// Its own version text.
     pub version: String,
 }
 
 impl GStreamer {
-    /// Loads and initialises it; `None` when it is not installed or does not start.
+    /// Loads and initialises GStreamer; `None` when it is not installed or does not start.
     pub fn open() -> Option<Self> {
         let library = open_library("libgstreamer-1.0.so.0")?;
         let init = symbol(library, c"gst_init_check")?;

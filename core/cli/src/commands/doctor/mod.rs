@@ -19,11 +19,11 @@ use crate::terminal::{out, stdout_color};
 use crate::{End, beside};
 use libraries::{ELEMENTS, GStreamer};
 
-/// How a thing stands.
+/// State of a checked item.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
     Fine,
-    /// Some graphs or benches do without.
+    /// Only needed by some graphs or benches.
     Optional,
     Bad,
 }
@@ -249,7 +249,7 @@ impl Doctor {
         }
     }
 
-    /// What can listen for other programs. All of it is off until somebody asks for it.
+    /// Lists what can listen for other programs. All of it is off by default.
     fn network(&mut self) {
         out!("network: nothing listens unless you ask for it");
         let web = "pictures, ages and metrics over HTTP, for reading only; on 127.0.0.1 unless you give IP:PORT";
@@ -405,7 +405,7 @@ fn limit(resource: libc::__rlimit_resource_t) -> Option<u64> {
     (limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
 }
 
-/// Whether a thread of this process may have real-time priority: tried on a thread of its own.
+/// Whether a thread of this process may have real-time priority: tested on a separate thread.
 fn realtime_allowed() -> bool {
     let tried = std::thread::spawn(|| {
         let priority = libc::sched_param { sched_priority: 20 };
@@ -415,7 +415,7 @@ fn realtime_allowed() -> bool {
     tried.join().unwrap_or(false)
 }
 
-/// The rule that gives the user at the machine access to cameras and serial ports.
+/// The udev rule that gives the user at the machine access to cameras and serial ports.
 fn rule() -> Option<PathBuf> {
     let folders = ["/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"];
     folders.map(|folder| Path::new(folder).join("70-panoscope.rules")).into_iter().find(|file| file.is_file())

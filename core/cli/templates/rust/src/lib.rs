@@ -4,29 +4,29 @@
 
 use panoscope_node::*;
 
-/// What comes in.
+/// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Picture to brighten.
+    /// Image to brighten.
     image: Image<'f, Bgr8>,
 }
 
-/// What goes out.
+/// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The brighter picture.
+    /// The brighter image.
     image: Slot<'f, Bgr8>,
 }
 
-/// What a graph file may set under `params`.
+/// Parameters under `params` of a graph file.
 #[derive(Params)]
 pub struct Params {
-    /// What every colour is multiplied by.
+    /// Factor of every colour.
     #[param(default = 1.5, range = 0.0..=8.0, step = 0.1, unit = "ratio")]
     gain: f32,
 }
 
-/// Makes a picture brighter.
+/// Makes an image brighter.
 pub struct Brighten;
 
 impl Node for Brighten {

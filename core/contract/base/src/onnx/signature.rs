@@ -1,4 +1,4 @@
-//! What a model takes and gives, read from its file without ONNX Runtime.
+//! Inputs and outputs of a model, read from its file without ONNX Runtime.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -9,11 +9,11 @@ use super::{Field, Malformed, Reader};
 /// An input or output of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Declared {
-    /// Its name.
+    /// Name in the model.
     pub name: String,
     /// Type of its elements, as in `f32`; `None` where it is not a tensor.
     pub element: Option<&'static str>,
-    /// Its shape; `None` for an axis of any length.
+    /// Size per axis; `None` for an axis of any length.
     pub dims: Vec<Option<u64>>,
 }
 
@@ -118,10 +118,10 @@ impl Reader<'_> {
     }
 }
 
-/// Reads what a model takes and gives.
+/// Reads inputs, outputs and metadata of a model.
 ///
 /// # Errors
-/// The bytes are not a whole ONNX file.
+/// The bytes are not a complete ONNX file.
 pub fn signature(model: &[u8]) -> Result<Signature, Malformed> {
     let reader = Reader::new(model);
     let mut out = Signature::default();
@@ -141,7 +141,7 @@ pub fn signature(model: &[u8]) -> Result<Signature, Malformed> {
             _ => {}
         }
     }
-    let Some(graph) = graph else { return Err(Malformed { reason: "it holds no graph", offset: model.len() }) };
+    let Some(graph) = graph else { return Err(Malformed { reason: "it has no graph", offset: model.len() }) };
     let mut weights = HashSet::new();
     for field in reader.fields(graph) {
         let Field { number, bytes: Some(bytes), .. } = field? else { continue };
@@ -196,6 +196,6 @@ mod tests {
             // No part of a model panics.
             let _ = signature(&model[..cut]);
         }
-        assert_eq!(signature(b"").unwrap_err().reason, "it holds no graph");
+        assert_eq!(signature(b"").unwrap_err().reason, "it has no graph");
     }
 }

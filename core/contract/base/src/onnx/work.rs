@@ -1,46 +1,47 @@
-//! How much work a model is before ONNX Runtime has it.
+//! Bounds the work of opening a model, before ONNX Runtime sees the file.
 //!
-//! Some small files keep ONNX Runtime busy for minutes while it opens them: it sorts, inlines and folds what they describe, and some of that is
-//! quadratic or exponential in the length of the file. The amounts can be counted in the file.
+//! Some small files keep ONNX Runtime busy for minutes while it opens them: it sorts, inlines and folds what they
+//! describe, and some of that is quadratic or exponential in the length of the file. The amounts can be counted in the
+//! file.
 
 use std::collections::HashMap;
 use std::ops::Range;
 
 use super::{MAX_DEPTH, Malformed, Reader};
 
-/// Maximum number of nodes of a model, with those of nested graphs, and those of a function once for each call. Detectors have up to some thousand.
-/// ONNX Runtime needs time in proportion to the square of this.
+/// Maximum number of nodes of a model, including nested graphs, with a function's nodes counted once per call.
+/// Detectors have up to some thousand. ONNX Runtime needs time in proportion to the square of this.
 pub const MAX_NODES: u64 = 10_000;
 /// Values that may be computed from constants while the model is opened, in any model and for each byte of the file.
 const MAX_COMPUTED: u64 = 16 << 20;
 const COMPUTED_PER_BYTE: u64 = 4;
-/// Maximum number of turns of a loop that nothing can end earlier.
+/// Maximum number of iterations of a loop that cannot end earlier.
 pub const MAX_TURNS: i64 = 100_000;
 
-/// Why a model is too much work.
+/// A model that takes too much work to open.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TooMuch {
-    /// It is no whole file.
+    /// Not a complete ONNX file.
     #[error(transparent)]
     Malformed(#[from] Malformed),
     /// Too many nodes.
-    #[error("it has {} nodes, with those of its functions and nested graphs, and a model may have {MAX_NODES}", shown(*.nodes))]
+    #[error("it has {} nodes, with those of its functions and nested graphs, but the limit is {MAX_NODES}", shown(*.nodes))]
     Nodes {
-        /// How many it has; [`u64::MAX`] for more than can be counted.
+        /// Number of nodes; [`u64::MAX`] for more than can be counted.
         nodes: u64,
     },
-    /// Constants that grow.
-    #[error("opening it computes {} values from its constants, and {most} are in proportion to its size", shown(*.values))]
+    /// Folding its constants would compute too many values.
+    #[error("opening it would compute {} values from its constants, but the limit for its size is {most}", shown(*.values))]
     Constants {
-        /// How many values; [`u64::MAX`] for more than can be counted.
+        /// Number of values; [`u64::MAX`] when it overflows.
         values: u64,
-        /// How many there may be.
+        /// Maximum number of values.
         most: u64,
     },
-    /// A loop that nothing ends.
-    #[error("it has a loop that nothing ends before {}, and a loop may have {MAX_TURNS}", .turns.map_or("the end of time".to_owned(), |turns| format!("{turns} turns")))]
+    /// A loop without an end.
+    #[error("it has a loop of {} iterations, but the limit is {MAX_TURNS}", .turns.map_or("unlimited".to_owned(), |turns| turns.to_string()))]
     Endless {
-        /// Number of turns that the model gives.
+        /// Iterations that the model states.
         turns: Option<i64>,
     },
 }
@@ -52,7 +53,7 @@ fn shown(count: u64) -> String {
 /// Checks that the work of opening a model is in proportion to its size.
 ///
 /// # Errors
-/// What there is too much of.
+/// The limit that the model exceeds.
 pub fn check(model: &[u8]) -> Result<(), TooMuch> {
     let mut work = Work { reader: Reader::new(model), functions: HashMap::new(), nodes: 0, computed: 0 };
     let mut graphs = Vec::new();
@@ -70,15 +71,16 @@ pub fn check(model: &[u8]) -> Result<(), TooMuch> {
     Ok(())
 }
 
-/// What a function adds where it is called.
+/// Cost of a call of a model's function.
 struct Function<'a> {
     /// Its own nodes.
     nodes: u64,
     /// Operators of its nodes, which may be functions.
     calls: Vec<Operator<'a>>,
-    /// Nodes with those of the functions that it calls; `None` before they were counted.
+    /// Nodes including those of called functions; `None` until they are counted.
     whole: Option<u64>,
-    /// Whether they are being counted: a function that is met again calls itself, which ONNX Runtime refuses.
+    /// Whether its nodes are being counted: a function met again during the count is recursive, which ONNX Runtime
+    /// refuses.
     is_counted: bool,
 }
 
@@ -89,7 +91,7 @@ type Operator<'a> = (&'a [u8], &'a [u8]);
 #[derive(Clone, Copy)]
 struct Constant {
     values: u64,
-    /// The one value of a whole number or truth.
+    /// Value of a scalar integer or boolean.
     number: Option<i64>,
 }
 
@@ -103,7 +105,7 @@ struct Work<'a> {
     computed: u64,
 }
 
-/// A node as far as it matters.
+/// The fields of a node that the count needs.
 #[derive(Default)]
 struct Node<'a> {
     inputs: Vec<&'a [u8]>,
@@ -112,7 +114,7 @@ struct Node<'a> {
     attributes: Vec<Range<usize>>,
 }
 
-/// A graph as far as it matters.
+/// The fields of a graph that the count needs.
 #[derive(Default)]
 struct Graph<'a> {
     inputs: Vec<&'a [u8]>,
@@ -124,7 +126,7 @@ struct Graph<'a> {
 type Done = Result<(), TooMuch>;
 
 impl<'a> Work<'a> {
-    /// Calls `take` with number and bytes of each field that has bytes.
+    /// Calls `take` with number and bytes of each length-delimited field.
     fn each(&mut self, range: Range<usize>, mut take: impl FnMut(&mut Self, u64, Range<usize>) -> Done) -> Done {
         let mut at = range.start;
         while at < range.end {
@@ -287,7 +289,7 @@ impl<'a> Work<'a> {
         Ok((name, Constant { values, number: number.filter(|_| values == 1) }))
     }
 
-    /// Follows one node: what it makes of constants, and the graphs in it.
+    /// Counts one node: the values that it folds from constants, and the graphs in it.
     fn run(&mut self, node: &Node<'a>, scopes: &mut Vec<Scope<'a>>) -> Done {
         let mut tensors = Vec::new();
         for attribute in &node.attributes {
@@ -335,7 +337,7 @@ impl<'a> Work<'a> {
         Ok(())
     }
 
-    /// Refuses a loop of many turns whose condition is true and stays so: its body passes it on.
+    /// Refuses a loop of many iterations whose condition stays true because its body passes it through.
     fn check_end(&mut self, node: &Node<'a>, body: Range<usize>, scopes: &[Scope<'a>]) -> Done {
         let given = |index: usize| node.inputs.get(index).filter(|name| !name.is_empty());
         let turns = match given(0).map(|name| known(scopes, name).and_then(|constant| constant.number)) {
@@ -370,14 +372,14 @@ impl<'a> Work<'a> {
     }
 }
 
-/// A whole word of up to eight bytes.
+/// Up to eight bytes, zero-padded.
 fn word_of(bytes: &[u8]) -> [u8; 8] {
     let mut word = [0; 8];
     word[..bytes.len()].copy_from_slice(bytes);
     word
 }
 
-/// The constant of a name, of the innermost graph that has one.
+/// The constant called `name` in the innermost graph that has one.
 fn known(scopes: &[Scope<'_>], name: &[u8]) -> Option<Constant> {
     scopes.iter().rev().find_map(|scope| scope.get(name)).copied()
 }

@@ -20,18 +20,18 @@ pub struct Detections<'b> {
 }
 
 impl<'b> Detections<'b> {
-    /// Reads a packet `detections`; bytes behind the labels are ignored.
+    /// Reads a packet `detections`; bytes after the labels are ignored.
     ///
     /// # Errors
-    /// When the bytes end before the last label, or the labels are no text.
+    /// When the bytes end before the last label, or the labels are not UTF-8.
     pub fn parse(bytes: &'b [u8]) -> Result<Self, PacketError> {
         Self::read("detections", bytes, false)
     }
 
-    /// Reads a packet `instances`, which has a mask per box; bytes behind the masks are ignored.
+    /// Reads a packet `instances`, which has a mask per box; bytes after the masks are ignored.
     ///
     /// # Errors
-    /// When the bytes end before the last mask, or the labels are no text.
+    /// When the bytes end before the last mask, or the labels are not UTF-8.
     pub fn parse_instances(bytes: &'b [u8]) -> Result<Self, PacketError> {
         Self::read("instances", bytes, true)
     }
@@ -87,7 +87,8 @@ impl<'b> Detections<'b> {
         (self.header.image_width as usize, self.header.image_height as usize)
     }
 
-    /// Bit mask of box `index`: whole image, rows padded to whole bytes, most significant bit first; empty without masks.
+    /// Bit mask of box `index`: whole image, rows padded to whole bytes, most significant bit first; empty without
+    /// masks.
     pub fn mask(&self, index: usize) -> &'b [u8] {
         let len = Self::mask_len_of(&self.header);
         let start = index.checked_mul(len);

@@ -15,7 +15,7 @@ impl<'b> Fields<'b> {
         Self { packet, bytes, at: 0 }
     }
 
-    /// The next `len` bytes; `None` stands for a length beyond all memory.
+    /// The next `len` bytes; `None` stands for a length that overflows.
     pub(super) fn take(&mut self, field: &'static str, len: Option<usize>) -> Result<&'b [u8], PacketError> {
         let end = len.and_then(|len| self.at.checked_add(len));
         match end.and_then(|end| self.bytes.get(self.at..end)) {
@@ -51,9 +51,9 @@ impl<'b> Fields<'b> {
     }
 }
 
-/// A field that is read from the bytes in its way, in the byte order of the machine, as nodes write it.
+/// A field that is read from unaligned bytes, in the byte order of the machine, as nodes write it.
 pub trait Field: Sized {
-    /// Reads the field called `name` and moves on behind it.
+    /// Reads the field called `name` and moves past it.
     #[doc(hidden)]
     fn read(fields: &mut Fields<'_>, name: &'static str) -> Result<Self, PacketError>;
 }

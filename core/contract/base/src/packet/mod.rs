@@ -1,9 +1,10 @@
-//! Packets of the contract, decoded from bytes that nobody has checked.
+//! Packets of the contract, decoded from untrusted bytes.
 //!
-//! Recordings, previews and other processes hand over bytes: they may be cut off, too long, or garbage. Nothing here panics on them or
-//! reads outside of them, and no alignment is needed. Every error names the field that does not fit.
+//! Recordings, previews and other processes hand over bytes: they may be cut off, too long, or garbage. Nothing here
+//! panics on them or reads outside of them, and no alignment is needed. Every error names the field that does not fit.
 //!
-//! Plain packets ([`decode`]) become the structs of the contract. [`Table`], [`Detections`] and [`Cloud`] stay views of the bytes.
+//! Plain packets ([`decode`]) become the structs of the contract. [`Table`], [`Detections`] and [`Cloud`] stay views of
+//! the bytes.
 
 mod cloud;
 mod detections;
@@ -18,17 +19,17 @@ pub use numbers::{Numbers, has_numbers};
 pub use plain::{Decode, decode, label, name};
 pub use table::Table;
 
-/// Why bytes are not the packet they should be.
+/// Bytes that are not a valid packet.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
     /// The bytes end inside a field.
-    #[error("packet `{packet}` is cut off: field `{field}` ends at byte {end}, but {len} bytes arrived")]
+    #[error("packet `{packet}` is truncated: field `{field}` ends at byte {end}, but {len} bytes arrived")]
     Short {
         /// Packet type.
         packet: &'static str,
         /// The field.
         field: &'static str,
-        /// Where the field would end; `usize::MAX` when that is beyond all memory.
+        /// Where the field would end; `usize::MAX` when that overflows.
         end: usize,
         /// Bytes that arrived.
         len: usize,
@@ -48,7 +49,7 @@ pub enum PacketError {
         len: usize,
     },
     /// A table has another number of names than columns.
-    #[error("packet `table`: field `names` holds {names} names for {columns} columns")]
+    #[error("packet `table`: field `names` has {names} names for {columns} columns")]
     Names {
         /// Names in the text.
         names: usize,
@@ -56,7 +57,7 @@ pub enum PacketError {
         columns: usize,
     },
     /// The description of a frame contradicts itself or its length.
-    #[error("packet `{packet}`: {width}x{height} with {stride_bytes} bytes a row does not fit {len} bytes")]
+    #[error("packet `{packet}`: {width}x{height} with {stride_bytes} bytes per row does not match {len} bytes")]
     Geometry {
         /// Packet type.
         packet: &'static str,

@@ -17,7 +17,8 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// Reads a packet of type `packet`; `None` for types without numbers. Of large tables the first 4096 columns and rows are read.
+    /// Reads a packet of type `packet`; `None` for types without numbers. Of large tables the first 4096 columns and
+    /// rows are read.
     ///
     /// # Errors
     /// When the bytes are not a packet of that type.

@@ -21,10 +21,10 @@ pub struct Table<'b> {
 }
 
 impl<'b> Table<'b> {
-    /// Reads a packet; bytes behind the last number are ignored. All columns may be without a name.
+    /// Reads a packet; bytes after the last number are ignored. The columns may all be unnamed.
     ///
     /// # Errors
-    /// When the bytes end before the last number, or the names are no text, wrongly padded, or not one per column.
+    /// When the bytes end before the last number, or the names are not UTF-8, wrongly padded, or not one per column.
     pub fn parse(bytes: &'b [u8]) -> Result<Self, PacketError> {
         let mut fields = Fields::new(NAME, bytes);
         let header = TableHeader::read(&mut fields, NAME)?;
@@ -90,7 +90,7 @@ impl<'b> Table<'b> {
         self.cells
     }
 
-    /// Bytes of the packet: what follows them belongs to nothing.
+    /// Length of the packet in bytes; bytes after it are ignored.
     pub fn byte_len(&self) -> usize {
         self.byte_len
     }

@@ -1,4 +1,4 @@
-//! Whole packets, cut packets, and bytes that are none.
+//! Tests with valid, truncated and malformed packets.
 
 use panoscope_abi as abi;
 
@@ -29,7 +29,7 @@ fn detections(masks: bool) -> Vec<u8> {
     bytes
 }
 
-/// Every field of a packet, so that hostile sizes cannot stay unread.
+/// Reads every field of a packet, so that hostile sizes are used.
 fn read_all(bytes: &[u8]) {
     if let Ok(table) = Table::parse(bytes) {
         assert!(table.names().count() == table.columns() || table.names().next().is_none());
@@ -85,11 +85,11 @@ fn tables_without_rows_or_columns_are_tables() {
 fn errors_name_the_field() {
     let error = |bytes: &[u8]| Table::parse(bytes).unwrap_err().to_string();
     let good = table(2, 2, "a\nb", &[0.0; 4]);
-    assert_eq!(error(&[]), "packet `table` is cut off: field `rows` ends at byte 4, but 0 bytes arrived");
-    assert_eq!(error(&good[..6]), "packet `table` is cut off: field `columns` ends at byte 8, but 6 bytes arrived");
-    assert_eq!(error(&good[..20]), "packet `table` is cut off: field `names` ends at byte 24, but 20 bytes arrived");
-    assert_eq!(error(&good[..55]), "packet `table` is cut off: field `values` ends at byte 56, but 55 bytes arrived");
-    assert_eq!(error(&table(1, 3, "a\nb", &[0.0; 3])), "packet `table`: field `names` holds 2 names for 3 columns");
+    assert_eq!(error(&[]), "packet `table` is truncated: field `rows` ends at byte 4, but 0 bytes arrived");
+    assert_eq!(error(&good[..6]), "packet `table` is truncated: field `columns` ends at byte 8, but 6 bytes arrived");
+    assert_eq!(error(&good[..20]), "packet `table` is truncated: field `names` ends at byte 24, but 20 bytes arrived");
+    assert_eq!(error(&good[..55]), "packet `table` is truncated: field `values` ends at byte 56, but 55 bytes arrived");
+    assert_eq!(error(&table(1, 3, "a\nb", &[0.0; 3])), "packet `table`: field `names` has 2 names for 3 columns");
     let mut padding = good.clone();
     padding[8] = 3;
     assert_eq!(error(&padding), "packet `table`: field `names_len` is 3, which is not a multiple of 8");
@@ -101,14 +101,14 @@ fn errors_name_the_field() {
 
     let list = detections(true);
     let error = |end: usize| Detections::parse_instances(&list[..end]).unwrap_err().to_string();
-    assert_eq!(error(23), "packet `instances` is cut off: field `masks_len` ends at byte 24, but 23 bytes arrived");
-    assert_eq!(error(87), "packet `instances` is cut off: field `entries` ends at byte 88, but 87 bytes arrived");
+    assert_eq!(error(23), "packet `instances` is truncated: field `masks_len` ends at byte 24, but 23 bytes arrived");
+    assert_eq!(error(87), "packet `instances` is truncated: field `entries` ends at byte 88, but 87 bytes arrived");
     assert!(error(100).contains("field `labels`"));
     assert!(error(118).contains("field `masks` ends at byte 119"));
     let error = decode::<abi::Scalar>(&[0; 41]).unwrap_err().to_string();
-    assert_eq!(error, "packet `scalar` is cut off: field `unit` ends at byte 56, but 41 bytes arrived");
+    assert_eq!(error, "packet `scalar` is truncated: field `unit` ends at byte 56, but 41 bytes arrived");
     let error = decode::<abi::Calibration>(&[0; 300]).unwrap_err().to_string();
-    assert_eq!(error, "packet `calibration` is cut off: field `distortion` ends at byte 304, but 300 bytes arrived");
+    assert_eq!(error, "packet `calibration` is truncated: field `distortion` ends at byte 304, but 300 bytes arrived");
 }
 
 #[test]
@@ -153,7 +153,7 @@ fn a_cloud_has_points_and_its_rows_may_be_padded() {
     assert_eq!((cloud.point(2, 0), cloud.point(0, 3)), (None, None));
     assert!(Cloud::parse(&bytes[..112], 2, 3, 40).is_ok(), "the last row needs no padding");
     let error = Cloud::parse(&bytes[..111], 2, 3, 40).unwrap_err().to_string();
-    assert_eq!(error, "packet `cloud`: 2x3 with 40 bytes a row does not fit 111 bytes");
+    assert_eq!(error, "packet `cloud`: 2x3 with 40 bytes per row does not match 111 bytes");
     assert!(Cloud::parse(&bytes, 2, 3, 31).is_err(), "rows overlap");
     assert!(Cloud::parse(&bytes, usize::MAX, usize::MAX, usize::MAX).is_err());
 }

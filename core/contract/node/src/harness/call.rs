@@ -25,7 +25,8 @@ impl<N> Harness<N> {
         abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
     }
 
-    /// Stores what the node reported during a call. Returns its failure message and the first violation of the contract.
+    /// Stores what the node reported during a call. Returns its failure message and the first violation of the
+    /// contract.
     fn take_reported(&mut self, reported: Reported) -> (Option<String>, Option<String>) {
         self.reported.logs.extend(reported.logs);
         self.reported.metrics.extend(reported.metrics);
@@ -71,7 +72,8 @@ impl<N> Harness<N> {
         result
     }
 
-    /// Closes the node without `finish`, as the runtime does with an instance that was opened for a change and then not used.
+    /// Closes the node without `finish`, as the runtime does with an instance that was opened for a change and then not
+    /// used.
     pub fn discard(mut self) {
         self.close();
     }

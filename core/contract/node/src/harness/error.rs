@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::abi;
 
-/// Why a call of the harness failed.
+/// Errors of the harness.
 #[derive(thiserror::Error)]
 pub enum HarnessError {
     /// The node type's descriptor is malformed.
@@ -19,7 +19,7 @@ pub enum HarnessError {
     /// A port that does not exist, or data that does not fit it.
     #[error("{problem}")]
     Port {
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
     /// The node returned an error.
@@ -35,7 +35,7 @@ pub enum HarnessError {
     /// The node used the host in a way that the ABI forbids.
     #[error("the node violated the ABI: {problem}")]
     Contract {
-        /// What the node did.
+        /// Result of the node.
         problem: String,
     },
 }

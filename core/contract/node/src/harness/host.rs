@@ -56,7 +56,7 @@ pub(super) struct SetTimes {
     pub(super) lag_ns: Option<i64>,
 }
 
-/// What a node reported to the host.
+/// Reports of a node to the host.
 #[derive(Default)]
 pub(super) struct Reported {
     pub(super) logs: Vec<LogLine>,

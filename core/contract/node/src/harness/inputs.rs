@@ -11,7 +11,7 @@ use super::host::{CallState, bare_call};
 use super::outputs::copy_rows;
 use super::{Harness, available, memory};
 
-/// What an input port holds for the next call.
+/// Content of an input port for the next call.
 pub(super) enum Pending {
     /// Nothing was given.
     Unconnected,
@@ -56,8 +56,8 @@ where
 }
 
 impl<N> Harness<N> {
-    /// Gives an input an image (or mask, disparity map, ...) of `width` x `height` pixels. On a list input every call adds an entry.
-    /// The next [`Harness::process`] reports a mistake.
+    /// Gives an input an image (or mask, disparity map, ...) of `width` x `height` pixels. On a list input every call
+    /// adds an entry. The next [`Harness::process`] reports a mistake.
     pub fn input_image<P: Plane>(&mut self, name: &str, width: usize, height: usize, data: &[P::Element]) -> &mut Self {
         self.input_image_with_stride::<P>(name, width, height, width * P::CHANNELS, data)
     }
@@ -93,7 +93,7 @@ impl<N> Harness<N> {
         self.accept(name, P::PACKET, 0, P::FORMAT, frame)
     }
 
-    /// Gives an input plain data: a homography, a calibration, a packet of the plugin's own.
+    /// Gives an input plain data: a homography, a calibration, a plugin's own packet.
     pub fn input_value<T: Packet>(&mut self, name: &str, value: T) -> &mut Self {
         self.fill::<T>(name, T::NAME, T::LAYOUT_HASH, |slot| slot.set(value))
     }
@@ -134,8 +134,7 @@ impl<N> Harness<N> {
     /// Gives an input a point cloud: `width * height` points, row after row.
     pub fn input_cloud(&mut self, name: &str, width: usize, height: usize, points: &[abi::CloudPoint]) -> &mut Self {
         if points.len() != width * height {
-            return self
-                .refuse(format!("input `{name}`: {width}x{height} points were expected, {} given", points.len()));
+            return self.refuse(format!("input `{name}`: expected {width}x{height} points, got {}", points.len()));
         }
         self.fill::<PointCloud>(name, "cloud", 0, |slot| {
             copy_rows(View::new(points, width, height, 1), slot.alloc_cloud(width, height)?);
@@ -216,7 +215,7 @@ impl<N> Harness<N> {
                 if !frame.is_empty() {
                     memory::release(frame.buffer);
                 }
-                return self.refuse(format!("input `{name}` was given twice; it is not a list"));
+                return self.refuse(format!("input `{name}` was given twice, but it is not a list"));
             }
             waiting => *waiting = Pending::Frames(vec![frame]),
         }

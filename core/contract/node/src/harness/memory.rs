@@ -1,6 +1,7 @@
 //! Frame memory of all harnesses of the process: heap buffers with reference counts.
 //!
-//! There is one table for all, because a plugin has one host: `retain` and `release` find a harness by the pool number of the buffer.
+//! There is one table for all, because a plugin has one host: `retain` and `release` find a harness by the pool number
+//! of the buffer.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -6,8 +6,9 @@
 //! let disparity = out.plane::<Disparity>("disparity")?;
 //! ```
 //!
-//! Parameters are checked as in a graph file, with the same messages. Fresh memory is filled with `0xA5`, so that unwritten pixels are
-//! visible. When the harness is dropped, the node must have released every buffer, or the test fails.
+//! Parameters are checked as in a graph file, with the same messages. Fresh memory is filled with `0xA5`, so that
+//! unwritten pixels are visible. When the harness is dropped, the node must have released every buffer, or the test
+//! fails.
 
 mod call;
 mod error;
@@ -67,7 +68,7 @@ pub struct Metric {
 /// Placeholder for a node type that is known only by its descriptor, such as one written in C.
 pub enum Foreign {}
 
-/// How a node is opened.
+/// Options for opening a node.
 #[derive(Clone, Debug)]
 pub struct Setup {
     toml: String,
@@ -126,7 +127,7 @@ impl Setup {
         Self { batch: true, ..self }
     }
 
-    /// Sets the run that the node belongs to; default is a run of its own.
+    /// Sets the run that the node belongs to; default is a separate run.
     pub fn files(self, files: &Files) -> Self {
         Self { files: files.clone(), ..self }
     }
@@ -237,7 +238,8 @@ impl Harness<Foreign> {
     /// A malformed descriptor, an unknown type; else as [`Harness::from_toml`].
     ///
     /// # Safety
-    /// `plugin` was returned by a plugin's entry function and is valid until the process ends, and the plugin obeys the ABI.
+    /// `plugin` was returned by a plugin's entry function and is valid until the process ends, and the plugin obeys the
+    /// ABI.
     pub unsafe fn of_plugin(plugin: *const abi::Plugin, name: &str, setup: Setup) -> Result<Self, HarnessError> {
         // SAFETY: the caller guarantees a valid descriptor of a plugin.
         let types = unsafe { node_types(plugin) }?;
@@ -306,7 +308,8 @@ impl<N> Harness<N> {
         if reopen { self.reopen() } else { Ok(()) }
     }
 
-    /// Sets the tick of the next call; later calls count on from it. By default ticks begin at 0, with 30 per second of media time.
+    /// Sets the tick of the next call; later calls count on from it. By default ticks begin at 0, with 30 per second of
+    /// media time.
     pub fn at_tick(&mut self, seq: u64, capture_ns: i64) -> &mut Self {
         self.next_tick = abi::Tick { seq, capture_ns, ..self.next_tick };
         self

@@ -55,7 +55,7 @@ impl Outputs {
         self.times.lag_ns
     }
 
-    /// The fault that the node reported although it goes on.
+    /// The fault that the node reported although it continues.
     pub fn fault(&self) -> Option<&str> {
         self.fault.as_deref()
     }

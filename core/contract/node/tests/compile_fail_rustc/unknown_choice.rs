@@ -10,7 +10,7 @@ enum Method {
 
 #[derive(Params)]
 struct Settings {
-    /// How pixels between others are found.
+    /// Interpolation between pixels.
     #[param(default = "cubic")]
     method: Method,
 }

@@ -1,8 +1,10 @@
-//! `bench stitch --plot`: times of each frame, as the thesis's figures 2.11 (registration), 2.12 (seam) and 4.9 (the whole) draw them.
+//! `bench stitch --plot`: times of each frame, as the thesis's figures 2.11 (registration), 2.12 (seam) and 4.9 (the
+//! whole) draw them.
 //!
-//! Each tick has the machine for itself. A stage takes from the packets that it needs to the packet that it makes: registration from the
-//! pair to the homography (disparity included), the composite from there to the panorama. Our composite reports the time of the seam, the
-//! sampling of the overlap included; OpenCV's does not: there it is what a frame takes beyond the same frame without a seam.
+//! One tick runs at a time. A stage lasts from its input packets to its output packet: registration from the pair to
+//! the homography (disparity included), the composite from there to the panorama. Our composite reports the time of the
+//! seam, the sampling of the overlap included; OpenCV's does not: there it is the additional time over the same frame
+//! without a seam.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -24,14 +26,14 @@ const FRAMES: (u64, u64) = (48, 96);
 const SIZE: (u32, u32) = (640, 480);
 const THREADS: usize = 2;
 
-/// Where a tick is: the pair is there, the homography is found, the panorama is figures.
+/// Stages of a tick: pair, homography, panorama.
 const STAGES: [(&str, &str); 3] = [("files", "right"), ("register", "homography"), ("wide", "panorama")];
 
 /// Times of one method on every frame, ms; NaN where a frame has none.
 #[derive(Clone, Debug, PartialEq)]
 struct Curve {
     registration: Vec<f64>,
-    /// With a seam in this frame.
+    /// Time of the composite with a seam in this frame, ms.
     composite: Vec<f64>,
     seam: Vec<f64>,
 }
@@ -42,10 +44,10 @@ impl Curve {
     }
 }
 
-/// When each stage of each tick was done.
+/// Completion time of each stage of each tick.
 type Moments = Vec<[Option<Instant>; 3]>;
 
-/// What is heard while a graph runs.
+/// Times recorded while a graph runs.
 struct StageTimes {
     moments: Moments,
     /// Time of the seam in each tick as the composite reports it, ms; NaN where it reports none.
@@ -61,7 +63,7 @@ fn between(moments: &Moments, from: usize, to: usize) -> Vec<f64> {
     moments.iter().map(ms).collect()
 }
 
-/// The smaller time of each frame: what is above it was the machine's doing.
+/// Keeps the minimum time of each frame, because other load only adds time.
 fn least(best: &mut Vec<f64>, other: Vec<f64>) {
     if best.is_empty() {
         *best = other;

@@ -5,16 +5,16 @@ use std::fmt::Write as _;
 use crate::bench::CAMERA_HZ;
 use crate::inputs::pairs::Pairs;
 
-/// Pictures that are rendered and played round and round.
+/// Images that are rendered and played in a loop.
 pub const PICTURES: u64 = 16;
 
-/// When the seam is found in what is timed.
+/// Frames in which the timed composite finds a seam.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seam {
-    /// As a graph has it without further parameters.
+    /// The default parameters.
     Default,
     EveryFrame,
-    /// In the first frame alone; OpenCV's composite, which keeps none, does without.
+    /// In the first frame only; OpenCV's composite, which keeps none, uses no seam.
     Once,
 }
 
@@ -35,7 +35,7 @@ impl Method {
         matches!(self, Self::OpencvFull | Self::OpencvTenth | Self::OpencvPath)
     }
 
-    /// Whether its default is a seam in each frame.
+    /// Whether it finds a seam in each frame by default.
     pub fn always_finds(self) -> bool {
         self.is_opencv() || self == Self::Conventional
     }
@@ -52,7 +52,8 @@ impl Method {
         }
     }
 
-    /// Nodes `match` (grid only), `register` and `wide`, scaled as the thesis does: a whole frame shrunk to about 320x240.
+    /// Nodes `match` (grid only), `register` and `wide`, scaled as the thesis does: a whole frame shrunk to about
+    /// 320x240.
     pub fn nodes(self, width: u32, threads: usize, seam: Seam) -> String {
         let (scale, scale_of_seam) = ((width / 320).clamp(1, 8), (width / 64).clamp(2, 64));
         let views = "left = \"files.left\", right = \"files.right\"";

@@ -1,21 +1,25 @@
-//! The thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), beside
-//! OpenCV's classes in the same run, turn about.
+//! The thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), compared with OpenCV's
+//! classes in the same run, alternating.
 //!
-//! The pictures are rendered once and then played from memory, one pair after the other, so that nothing but the stitching is at work.
-//! Times are the medians of the nodes' own times, the least of all rounds; stages of one tick follow one another, so they add up.
-//! The seam is what a frame that finds one takes beyond a frame that keeps the one before (OpenCV's composite keeps none: beyond one
-//! that looks for none). Ours finds one every 15th frame: `seam` is its mean per frame,
-//! `seam_found` the time of a frame that finds one, `every_frame` the whole with one in each frame, as the peer has it.
+//! The images are rendered once and then played from memory, one pair after the other, so that only the stitching runs.
+//! Times are the medians of the nodes' own times, the minimum of all rounds; stages of one tick follow one another, so
+//! they add up. The time of the seam is the additional time of a frame that finds one over a frame that keeps the
+//! previous one (OpenCV's composite keeps none: beyond one that looks for none). Ours finds one every 15th frame:
+//! `seam` is its mean per frame, `seam_found` the time of a frame that finds one, `every_frame` the whole with one in
+//! each frame, as the peer has it.
 //!
-//! The peer is OpenCV through the nodes of the plugin `opencv`, not a program of its own: they call the same functions, and the copies
-//! in and out of frames that they add are small beside what those take. `plugins/opencv/tests/reference.cpp` does the same work without
-//! us; a test holds the nodes against it. The options are the fastest that do the job:
-//! - SIFT. Debian's OpenCV has no SURF. ORB takes a tenth of the time, but registers at most half of the frames of the phantom's liver,
-//!   AKAZE none. Brute force in one direction with the ratio test: matched in both directions it takes twice as long and keeps the same inliers.
-//! - The graph cut on differences of colour, as OpenCV's own stitcher takes it. Over gradients, the default of the bare class, it takes
-//!   two to three times as long.
-//! - Features at 0.6 megapixel, gains and seam at 0.1, as OpenCV's own stitcher has it; and, as the thesis has it, all at full size.
-//! - Its fastest seam that looks at the picture is the shortest path (`DpSeamFinder`): measured as a third peer.
+//! The peer is OpenCV through the nodes of the plugin `opencv`, not a program of its own: they call the same functions,
+//! and the copies in and out of frames that they add are small beside what those take.
+//! `plugins/opencv/tests/reference.cpp` does the same work without us; a test holds the nodes against it. The options
+//! are the fastest that do the job:
+//! - SIFT. Debian's OpenCV has no SURF. ORB takes a tenth of the time, but registers at most half of the frames of the
+//!   phantom's liver, AKAZE none. Brute force in one direction with the ratio test: matched in both directions it takes
+//!   twice as long and keeps the same inliers.
+//! - The graph cut on differences of colour, as OpenCV's own stitcher takes it. Over gradients, the default of the bare
+//!   class, it takes two to three times as long.
+//! - Features at 0.6 megapixel, gains and seam at 0.1, as OpenCV's own stitcher has it; and, as the thesis has it, all
+//!   at full size.
+//! - Its fastest seam that looks at the image is the shortest path (`DpSeamFinder`): measured as a third peer.
 
 mod curves;
 mod method;
@@ -39,17 +43,17 @@ use times::{Stages, Times};
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Fewer frames and rounds: a quick look instead of a measurement.
+    /// Fewer frames and rounds: a quick check instead of a measurement.
     pub quick: bool,
-    /// Sizes of the pictures, of [`SIZE_NAMES`]; if empty, the usual ones.
+    /// Sizes of the images, of [`SIZE_NAMES`]; if empty, the default ones.
     pub sizes: Vec<String>,
     /// PNG file for the time of each frame at 640x480: registration, seam and the whole.
     pub plot: Option<PathBuf>,
 }
 
-/// Stands in the thesis's column of GPU times: nothing here has run on one.
+/// Text in the thesis's column of GPU times, which are not measured.
 const NO_GPU: &str = "no GPU here";
-/// Names of the sizes of pictures.
+/// Names of the sizes of images.
 pub const SIZE_NAMES: [&str; 3] = ["640x480", "1280x720", "1920x1080"];
 const SIZES: [(u32, u32); 3] = [(640, 480), (1280, 720), (1920, 1080)];
 const FULL: &str = "OpenCV SIFT + full graph cut";
@@ -61,7 +65,7 @@ fn run(session: &dyn Session, text: &str, frames: u64, threads: usize, pace: Pac
     Ok(run::run(session, &plan)?.report)
 }
 
-/// Runs one method once. OpenCV brings its own threads: its nodes run on a pool of one.
+/// Runs one method once. OpenCV uses its own threads, so its nodes run on a pool of one.
 fn once(
     session: &dyn Session,
     pairs: &Pairs,
@@ -83,7 +87,8 @@ fn on_the_phantom(method: Method, scope: &str) -> String {
     format!("mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{nodes}{scope}")
 }
 
-/// Tables 4.1 and 4.2: share of frames that are stitched and their alignment, SURF beside the grid, on smooth and on rich tissue.
+/// Tables 4.1 and 4.2: share of frames that are stitched and their alignment, SURF compared with the grid, on smooth
+/// and on rich tissue.
 fn quality(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     const SCENES: [(&str, u32); 4] = [("bowel", 7), ("bowel", 12), ("liver", 7), ("liver", 12)];
     let frames = if quick { 20 } else { 60 };
@@ -113,13 +118,14 @@ fn quality(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is not counted.
+/// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is
+/// not counted.
 fn allocations(session: &dyn Session, method: Method, quick: bool) -> Result<Option<f64>> {
     let text = on_the_phantom(method, "") + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
     Ok(run(session, &text, if quick { 80 } else { 200 }, 2, Pace::Free)?.allocations_per_frame)
 }
 
-/// SURF beside SIFT on one picture, ms per picture.
+/// SURF compared with SIFT on one image, ms per image.
 fn features(session: &dyn Session, pairs: &Pairs, points: u32, quick: bool) -> Result<(f64, f64)> {
     let picture = pairs.first();
     let text = |node: &str| {

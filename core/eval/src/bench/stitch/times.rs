@@ -8,7 +8,7 @@ pub struct Stages {
     pub matching: f64,
     pub register: f64,
     pub composite: f64,
-    /// Seams found per frame; NaN when the composite does not count them.
+    /// Seams found per frame; NaN if the composite does not count them.
     pub seams: f64,
 }
 
@@ -55,7 +55,8 @@ pub struct Times {
 }
 
 impl Times {
-    /// `default`: as the graph is; `every`: its composite with a seam in each frame; `kept`: with one in the first alone.
+    /// `default`: the unchanged graph; `every`: composite time with a seam in each frame; `kept`: with one in the first
+    /// only.
     pub fn of(default: Stages, every: f64, kept: f64) -> Self {
         // Where seams are rare the median frame of the default finds none either.
         let is_rare = default.seams < 0.5;
@@ -73,12 +74,12 @@ impl Times {
         self.rest + self.seam
     }
 
-    /// Mean of a frame.
+    /// Mean time of a frame.
     pub fn whole(&self) -> f64 {
         self.registration() + self.composite()
     }
 
-    /// A frame that finds a seam.
+    /// Time of a frame that finds a seam.
     pub fn every_frame(&self) -> f64 {
         self.registration() + self.rest + self.seam_found
     }

@@ -19,9 +19,9 @@ use crate::session::Session;
 
 /// Movements of the phantom's leading tool, and sources of its tip.
 ///
-/// Up to `leave` the exact tip is given while it is in view. `cross` and `occlusion` find it in true masks and depth, among other tools that pass before it;
-/// `masks` so too, alone; `smoke` in true masks and the depth that stereo finds in smoke; `detector` in boxes of the detector that ships and the
-/// depth that stereo finds.
+/// Scenarios up to `leave` use the exact tip while it is in view. `cross` and `occlusion` find it in true masks and
+/// depth, among other tools that pass in front of it; `masks` so too, alone; `smoke` in true masks and the depth that
+/// stereo finds in smoke; `detector` in boxes of the shipped detector and the depth that stereo finds.
 pub const SCENARIOS: [&str; 11] =
     ["still", "step", "ramp", "circle", "strokes", "leave", "cross", "occlusion", "masks", "smoke", DETECTOR];
 /// The scenario that needs a model.
@@ -29,17 +29,17 @@ pub const DETECTOR: &str = "detector";
 
 /// A run.
 pub struct Run {
-    /// One per tick.
+    /// Rows of the table, one per tick.
     pub rows: Vec<Row>,
-    /// Of the pictures, px.
+    /// Size of the images, px.
     pub size: (u32, u32),
 }
 
-/// What a scenario puts into the graph.
+/// Parts of the graph for a scenario.
 struct Scene {
     /// Parameters of the phantom.
     phantom: &'static str,
-    /// Nodes between phantom and tracker.
+    /// Nodes between phantom and tracker, as TOML.
     nodes: String,
     /// Outputs with tips, and with tips that another tool hides.
     tips: &'static str,
@@ -92,7 +92,7 @@ fn scene(name: &str) -> Scene {
     }
 }
 
-/// The graph of a scenario, with what stands at its end.
+/// The graph of a scenario, with its end.
 fn text(name: &str, seed: u64, size: (u32, u32), mode: &str, end: &str) -> String {
     let motion = match name {
         "masks" | "occlusion" | "smoke" | DETECTOR => "strokes",
@@ -134,14 +134,14 @@ type = "evaluate_arm"
 inputs = { tip = "scope.lead", arm = "arm.table", track = "track.table", calibration = "scope.calibration" }
 "#;
 
-/// Runs a scenario and reads what the judge saw.
+/// Runs a scenario and reads the evaluation's rows.
 pub fn run(session: &dyn Session, name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
     let size = (width, width * 3 / 4);
     let text = text(name, seed, size, "batch", JUDGE);
     judged(session, &text, Path::new(&format!("eval_arm_{name}.toml")), name, seconds, size)
 }
 
-/// The same for a graph that ships.
+/// Runs a scenario of a shipped graph.
 pub fn run_preset(session: &dyn Session, name: &str, seed: u64, seconds: u32, file: PathBuf) -> Result<Run> {
     let text = run::flattened(&file, &GraphOptions::default())?;
     let preset = preset::of(name, seed, &text, file)?;
@@ -157,11 +157,11 @@ fn judged(session: &dyn Session, text: &str, path: &Path, name: &str, seconds: u
     run::run_watched(session, &plan, Watchers { listen: vec![listener], ..Watchers::default() })?;
     let mut table = Table::default();
     for ticks in std::mem::take(&mut *lock(&rows)).into_values() {
-        let ticks = ticks.context("the judge's table could not be read")?;
+        let ticks = ticks.context("the table of the evaluating node is malformed")?;
         table.rows.extend(ticks.rows);
         table.names = ticks.names;
     }
-    (!table.rows.is_empty()).then_some(()).context("the judge saw nothing")?;
+    (!table.rows.is_empty()).then_some(()).context("the evaluating node received no packets")?;
     let column = |name: &str| {
         table.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
     };
@@ -194,7 +194,8 @@ fn judged(session: &dyn Session, text: &str, path: &Path, name: &str, seconds: u
     Ok(Run { rows, size })
 }
 
-/// Age of the arm's set-points from the cameras' shutter on, in ms, median and 99 %: the loop live at 30 pictures a second, rendering included.
+/// Age of the arm's set-points from the cameras' shutter on, in ms, median and 99 %: the loop runs live at 30 frames
+/// per second, rendering included.
 pub fn set_point_age(session: &dyn Session, seed: u64, seconds: u32, width: u32) -> Result<(f64, f64)> {
     let folder = Folder::new("panoscope-eval-arm")?;
     let sink = format!(
@@ -211,6 +212,6 @@ pub fn set_point_age(session: &dyn Session, seed: u64, seconds: u32, width: u32)
         pace: Pace::Camera,
     };
     let report = run::run(session, &plan)?.report;
-    let ages = report.paths.get("sent").context("no set-point was sent")?;
+    let ages = report.paths.get("sent").context("the controller sent no set-point")?;
     Ok((ages.age_p50_ms, ages.age_p99_ms))
 }

@@ -1,5 +1,5 @@
-//! How well the arm keeps the tip, in the real graph and without pictures; whether anything gets past its limits; how long
-//! the control takes.
+//! Evaluates the arm: tracking error in the real graph and without images, violations of its limits, time of the
+//! control.
 
 mod graph;
 mod plots;
@@ -18,7 +18,7 @@ use crate::figures::Figure;
 use crate::session::{Session, check_cancelled, note};
 use crate::statistics::percentile;
 
-/// AutoCam on the dVRK (arXiv 2505.10398): error of the tool in the picture, and share of time that it was seen.
+/// AutoCam on the dVRK (arXiv 2505.10398): error of the tool in the image, and share of time in view.
 const PEER: &str = "AutoCam on dVRK, published";
 const PEER_ERROR_MM: f64 = 1.95;
 const PEER_VIEW_PCT: f64 = 99.84;
@@ -26,13 +26,13 @@ const PEER_VIEW_PCT: f64 = 99.84;
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The parts that are judged; if empty, all.
+    /// The parts to evaluate; if empty, all.
     pub parts: Vec<String>,
-    /// The scenarios that are judged; if empty, all.
+    /// The scenarios to evaluate; if empty, all.
     pub scenarios: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
-    /// Width of the phantom's pictures in the graph's runs, px.
+    /// Width of the phantom's images in the graph's runs, px.
     pub width: u32,
     /// Inputs of the campaign against the limits.
     pub hostile_inputs: u64,

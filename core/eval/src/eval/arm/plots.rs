@@ -1,4 +1,4 @@
-//! A run as curves over time.
+//! Plots of a run over time.
 
 use std::path::Path;
 
@@ -13,14 +13,14 @@ const LEFT: f32 = 70.0;
 const TOP: f32 = 30.0;
 const BOTTOM: f32 = 24.0;
 
-/// One band: a title, its curves in BGR, and a line that should not be passed.
+/// One band: a title, its curves in BGR, and a limit line.
 struct Band<'a> {
     title: &'a str,
     curves: Vec<([u8; 3], Vec<f64>)>,
     limit: Option<f64>,
 }
 
-/// Draws error, place in the picture, distance, trocar and camera speed of a run; gray where the arm does not follow.
+/// Draws error, position in the image, distance, trocar and camera speed of a run; gray where the arm does not follow.
 pub fn draw(path: &Path, title: &str, rows: &[Row]) -> Result<()> {
     let of = |pick: &dyn Fn(&Row) -> f64| rows.iter().map(pick).collect::<Vec<f64>>();
     let (blue, red, green) = ([200, 90, 20], [40, 40, 210], [60, 140, 30]);

@@ -1,4 +1,4 @@
-//! A graph that ships, judged as it is: its own phantom, size, rates and tip; its sinks are removed and a judge is added.
+//! Evaluates a shipped graph with its own phantom, size, rates and tip; its sinks are replaced by an evaluation.
 
 use std::path::{Path, PathBuf};
 
@@ -13,16 +13,17 @@ const PRESETS: [(&str, &str); 4] = [
     ("surgeon", "graphs/surgeon.toml"),
     ("surgeon_sway", "graphs/surgeon.toml"),
 ];
-/// Ending of the scenarios in which the instrument swings slowly and turns about its shaft: from time to time one of its jaws hides the other.
+/// Suffix of the scenarios in which the instrument swings slowly and turns about its shaft: sometimes one of its jaws
+/// hides the other.
 const SWAY: &str = "_sway";
 
-/// A preset made fit for judging.
+/// A preset prepared for evaluation.
 pub struct Preset {
-    /// The graph with a `judge`.
+    /// Text of the graph with a `judge` node.
     pub text: String,
     /// Its file.
     pub path: PathBuf,
-    /// Size of the phantom's pictures, px.
+    /// Size of the phantom's images, px.
     pub size: (u32, u32),
 }
 
@@ -31,7 +32,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
-/// The file of a preset: beside the program when installed, else in the repository.
+/// The file of a preset: next to the program when installed, else in the repository.
 pub fn file(name: &str) -> Option<PathBuf> {
     let (_, file) = PRESETS.iter().find(|(preset, _)| *preset == name)?;
     shipped_file(Path::new(file))
@@ -45,7 +46,8 @@ fn is_type(node: &Value, wanted: &str) -> bool {
 /// Makes a preset of the text of its file.
 ///
 /// # Errors
-/// When the text is no graph, or has not exactly one `phantom`, `arm_sim` and `tip_track` each, or a tip that follows the phantom's truth.
+/// The text is not a graph, or does not have exactly one each of `phantom`, `arm_sim`, `tip_track` and a tip that
+/// follows the phantom's ground truth.
 pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
     let mut graph: Table = text.parse().with_context(|| format!("{} is not TOML", path.display()))?;
     graph.remove("preset");
@@ -63,14 +65,17 @@ pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
         let mut all = nodes.iter().filter(|(_, node)| is_type(node, kind)).map(|(id, _)| id.clone());
         match (all.next(), all.next()) {
             (Some(id), None) => Ok(id),
-            _ => bail!("{}: a graph that is judged has one node of type `{kind}`", path.display()),
+            _ => bail!("{}: the graph must have exactly one node of type `{kind}`", path.display()),
         }
     };
     let (phantom, arm, track) = (one("phantom")?, one("arm_sim")?, one("tip_track")?);
     for truth in ["tip", "lead", "second", "detections", "instances", "depth", "disparity", "clearance"] {
         let truth = format!("{phantom}.{truth}");
         if nodes.values().any(|node| reads(node, &truth)) {
-            bail!("{}: a node reads `{truth}`, the phantom's truth; nothing is judged by it", path.display());
+            bail!(
+                "{}: a node reads `{truth}`, the phantom's ground truth; connect it to an estimate instead",
+                path.display()
+            );
         }
     }
     let params = nodes[&phantom].get("params");
@@ -89,7 +94,7 @@ pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
         }
         Some(())
     };
-    nodes.get_mut(&phantom).and_then(set).with_context(|| format!("{}: `{phantom}` is no node", path.display()))?;
+    nodes.get_mut(&phantom).and_then(set).with_context(|| format!("{}: `{phantom}` is not a node", path.display()))?;
     let inputs = [
         ("tip", format!("{phantom}.lead")),
         ("arm", format!("{arm}.table")),

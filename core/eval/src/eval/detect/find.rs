@@ -1,4 +1,4 @@
-//! What a model finds: the real nodes on the real pictures, run by the engine.
+//! Runs a model in its real node on real images.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
 use panoscope_imaging::detect::Find;
 
-/// Which node judges.
+/// Node that runs a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Node {
     /// `yolo`.
@@ -36,15 +36,16 @@ impl Node {
     }
 }
 
-/// Detections of all pictures and the time that they took.
+/// Detections of all images and the time that they took.
 pub struct Detections {
-    /// Picture by picture; class numbers are those of the truth.
+    /// Per image; class numbers are those of the ground truth.
     pub finds: Vec<Vec<Find>>,
     /// Median time of the node, ms.
     pub ms: f64,
 }
 
-/// Parameters as people measure AP: all but the weakest finds, class by class, a wide net against doubles. `settings` win.
+/// Parameters for measuring AP: all but the weakest detections, per class, with loose suppression. `settings` override
+/// them.
 fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
     // AP ranks every name that is thought possible: `unknown` would take the unsure ones away.
     let own: &[&str] = match node {
@@ -60,7 +61,7 @@ fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
     params.join(", ")
 }
 
-/// Runs `model` in `node` over the pictures of `truth`. With `settings` (`param = value`) the node's parameters change.
+/// Runs `model` in `node` over the images of `truth`. With `settings` (`param = value`) the node's parameters change.
 pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, settings: &[String]) -> Result<Detections> {
     let scratch = Folder::new("panoscope-eval")?;
     let out = scratch.path().join("found.json");
@@ -82,13 +83,13 @@ pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, setti
     let seen = run::run(session, &plan)?;
     let report = seen.report.nodes.get("find").context("the node did not run")?;
     if report.faults > 0 {
-        bail!("`{}` failed on {} of {count} pictures", node.name(), report.faults);
+        bail!("`{}` failed on {} of {count} images", node.name(), report.faults);
     }
     let found = read_found(&out)?;
     let mut strangers: BTreeMap<&str, usize> = BTreeMap::new();
     let mut finds = Vec::new();
     if found.by_image.len() != truth.pictures.len() {
-        bail!("`{}` answered {} of {count} pictures", node.name(), found.by_image.len());
+        bail!("`{}` returned results for {} of {count} images", node.name(), found.by_image.len());
     }
     for (picture, annotations) in truth.pictures.iter().zip(found.by_image.values()) {
         let mut list = Vec::new();

@@ -1,4 +1,4 @@
-//! A model judged on a case.
+//! Evaluation of a model on a case.
 
 use super::find::Node;
 use super::folds;
@@ -6,24 +6,24 @@ use super::reliability::Outcome;
 use super::truth::Truth;
 use panoscope_imaging::detect::{Find, Scores};
 
-/// A model judged on a case.
+/// Evaluation of a model on a case.
 pub struct JudgeInputs {
     pub case: String,
     pub node: Node,
     pub truth: Truth,
-    /// Picture by picture.
+    /// Image by image.
     pub finds: Vec<Vec<Find>>,
     pub boxes: Scores,
     /// Bounds of the boxes' AP at 0.5, for frames of the data set of the folds.
     pub bounds: Option<folds::Bounds>,
-    /// Where both truth and model have outlines.
+    /// Scores of the outlines, if both ground truth and model have them.
     pub masks: Option<Scores>,
     /// Median time of the node.
     pub ms: f64,
 }
 
 impl JudgeInputs {
-    /// What came of each find that is not too weak, with its class.
+    /// Outcome of each find above the minimum score, with its class.
     pub fn outcomes(&self) -> Vec<(usize, Outcome)> {
         let objects: Vec<_> = self.truth.pictures.iter().map(|p| p.objects.clone()).collect();
         folds::outcomes(&objects, &self.finds)

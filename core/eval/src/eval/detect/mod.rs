@@ -1,6 +1,7 @@
-//! Detectors and segmenters beside true boxes, outlines and tips (thesis, chapter 5).
+//! Detectors and segmenters compared with true boxes, outlines and tips (thesis, chapter 5).
 //!
-//! Pictures go through the real nodes, run by the engine; what they find is judged by COCO's and VOC's rules ([`score`]).
+//! Images are processed by the real nodes, run by the engine; the detections are scored by COCO's and VOC's rules
+//! ([`score`]).
 
 mod find;
 pub mod folds;
@@ -27,7 +28,7 @@ use crate::session::{Session, check_cancelled, note};
 use panoscope_engine::text_table::table;
 use panoscope_imaging::detect::{Shape, score};
 
-/// Another program that judges the same finds.
+/// Another program that evaluates the same detections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SelfCheck {
     /// COCO's own tools for Python.
@@ -37,44 +38,45 @@ pub enum SelfCheck {
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The cases that are judged; if empty, all: `test` (official test split), `left_out` (whole operations that the
-    /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
+    /// The cases to evaluate; if empty, all: `test` (official test split), `left_out` (whole operations that the model
+    /// never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
     pub cases: Vec<String>,
-    /// Detector; else the one that ships.
+    /// Detector; default: the shipped one.
     pub model: Option<PathBuf>,
-    /// Segmenter; else the one that ships.
+    /// Segmenter; default: the shipped one.
     pub masks: Option<PathBuf>,
     /// Detector trained without the operations of --left-out, for the case `left_out`.
     pub held_out_model: Option<PathBuf>,
     /// Operations of the case `left_out`.
     pub held_out: Vec<String>,
-    /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
+    /// Ground truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO files. Evaluates
+    /// --model and, if given, --masks.
     pub truth: Option<PathBuf>,
-    /// Which split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
+    /// Split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
     pub split: Option<String>,
-    /// Folder of the pictures of --truth, where they are not beside it.
+    /// Folder of the images of --truth, if they are not next to it.
     pub images: Option<PathBuf>,
-    /// Folders of data sets, searched before the usual ones.
+    /// Folders of data sets, searched before the default ones.
     pub data: Vec<PathBuf>,
     /// Sets a parameter of the node, as in a graph file.
     pub settings: Vec<String>,
-    /// Judges the same finds with another program, and fails where figures differ in the fourth decimal.
+    /// Evaluates the same detections with another program, and fails if figures differ in the fourth decimal.
     pub selfcheck: Option<SelfCheck>,
     /// Python of --selfcheck.
     pub python: PathBuf,
-    /// Folder for pictures: curves, confusions, contact sheets of the worst misses.
+    /// Folder for images: curves, confusions, contact sheets of the worst misses.
     pub pictures: Option<PathBuf>,
 }
 
 /// Names of the cases.
 pub const CASES: [&str; 5] = ["test", "left_out", "polygons", "phantom", "tips"];
 
-/// Folders in which data sets are looked for last.
+/// Default folders of data sets.
 fn usual_data() -> impl Iterator<Item = PathBuf> {
     ["target/data", "../shared/data", "../shared/data/instances"].into_iter().map(PathBuf::from)
 }
 
-/// What the cases share.
+/// State shared by the cases.
 struct Judge<'a> {
     session: &'a dyn Session,
     options: &'a Options,
@@ -92,7 +94,7 @@ impl Judge<'_> {
         self.options.masks.clone().or_else(|| shipped_model("instrument_masks.onnx"))
     }
 
-    /// A data set in the folders that are searched, or words that it is skipped.
+    /// Finds a data set in the searched folders, or reports that it is skipped.
     fn data(&self, case: &str, name: &str) -> Option<PathBuf> {
         let found = self.folders.iter().map(|f| f.join(name)).find(|p| p.is_dir());
         if found.is_none() {
@@ -277,7 +279,7 @@ impl Judge<'_> {
         let more = truth::read(self.session, &folder, Some("test"), None)?.only(&self.options.held_out);
         truth.pictures.extend(more.ordered(&truth.classes).pictures);
         if truth.pictures.is_empty() {
-            bail!("no frame is of the operations {}", self.options.held_out.join(", "));
+            bail!("no frame belongs to the operations {}", self.options.held_out.join(", "));
         }
         self.judge("left_out", Node::Yolo, &model, truth, true)
     }
@@ -347,7 +349,7 @@ impl Judge<'_> {
         figure("tip_found", found as f64 / tips.seen.max(1) as f64, "1");
     }
 
-    /// The truth that was named.
+    /// Evaluates the given ground truth.
     fn given(&mut self, path: &Path) -> Result<()> {
         let a = self.options;
         let truth = truth::read(self.session, path, a.split.as_deref(), a.images.as_deref())?;
@@ -380,10 +382,10 @@ impl Judgement {
     }
 }
 
-/// Judges the models on each wanted case whose data is there, or on the given truth.
+/// Evaluates the models on each requested case whose data is available, or on the given ground truth.
 ///
 /// # Errors
-/// A model is not there, a file has the wrong content, a run fails, a self-check disagrees, or the session is cancelled.
+/// A model is missing, a file has the wrong content, a run fails, a self-check disagrees, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
     for model in [&options.model, &options.masks, &options.held_out_model].into_iter().flatten() {
         if !model.is_file() {

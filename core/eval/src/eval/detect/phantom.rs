@@ -1,4 +1,5 @@
-//! Held-out scenes of the phantom: their pictures with exact outlines, and how far found tips lie from the true ones.
+//! Held-out scenes of the phantom: their images with exact outlines, and the distance of found tips from the true
+//! ones.
 
 use std::path::Path;
 
@@ -11,12 +12,12 @@ use crate::inputs::{Folder, quoted};
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, check_cancelled};
 
-/// Seeds beyond those that training draws.
+/// First seed beyond those of the training.
 const FIRST_SEED: u64 = 2_000_001;
 const SCENES: [&str; 3] = ["liver", "bowel", "cavity"];
-/// Instruments of the scenes in which tips are looked for, one each.
+/// Instruments of the scenes for tips, one each.
 const KINDS: [&str; 7] = ["grasper", "bipolar", "hook", "scissors", "clipper", "irrigator", "specimen_bag"];
-/// Pictures of each scene, a second apart.
+/// Number of images of each scene, a second apart.
 const FRAMES: u64 = 12;
 
 /// Renders frames with one to four instruments into `scratch`.
@@ -47,12 +48,12 @@ pub fn frames(session: &dyn Session, scratch: &Folder) -> Result<Truth> {
     Ok(all)
 }
 
-/// Tips found beside true ones.
+/// Found tips compared with true ones.
 #[derive(Default)]
 pub struct Tips {
-    /// Ticks in which a tip is seen.
+    /// Ticks in which a tip is visible.
     pub seen: usize,
-    /// Distances in the picture of those that were found, px.
+    /// Image distances of found tips, px.
     pub errors_px: Vec<f64>,
     /// Distances in space of those with a valid position, mm.
     pub errors_mm: Vec<f64>,
@@ -61,29 +62,29 @@ pub struct Tips {
 }
 
 impl Tips {
-    /// Median of some distances; NaN of none.
+    /// Median of distances; NaN if there are none.
     pub fn median(values: &[f64]) -> f64 {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
         sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
     }
 
-    /// Tips seen and found so far.
+    /// Numbers of visible and found tips.
     pub fn count(&self) -> [usize; 2] {
         [self.seen, self.errors_px.len()]
     }
 
-    /// Ends a kind of instrument, of which `before` tips had been seen and found when it began.
+    /// Ends a kind of instrument, with the counts `before` it began.
     pub fn end_kind(&mut self, name: &str, before: [usize; 2]) {
         let own = &self.errors_px[before[1]..];
         self.kinds.push((name.to_owned(), self.seen - before[0], own.len(), Self::median(own)));
     }
 }
 
-/// What the tip is found from.
+/// Input for finding the tip.
 #[derive(Clone, Copy)]
 pub enum From<'a> {
-    /// True outlines: what `tool_tip` alone costs.
+    /// True outlines, for the error of `tool_tip` alone.
     TrueMasks,
     /// A model's boxes or outlines.
     Model(Node, &'a Path),
@@ -100,7 +101,7 @@ pub fn seq(line: &Value) -> Option<u64> {
     line.get("seq").and_then(Value::as_u64)
 }
 
-/// Position of a line's tip in the picture, px, and in space, mm.
+/// Position of a line's tip in the image, px, and in space, mm.
 pub fn place(line: &Value) -> Option<([f64; 2], Option<Vec<f64>>)> {
     let tip = line.get("tip")?;
     let xyz = tip.get("xyz_mm").and_then(Value::as_array);

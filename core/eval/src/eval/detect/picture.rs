@@ -1,4 +1,4 @@
-//! Pictures of scores: curves of precision and recall, class confusions, the worst misses.
+//! Plots of scores: curves of precision and recall, class confusions, the worst misses.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::error::{Context, FileAction, OnFile, Result};
 use panoscope_imaging::detect::Mask;
 use panoscope_imaging::detect::{Find, Object, Scores, Shape, pairs};
 
-/// From which score on a find is shown and counted among the mistakes.
+/// Minimum score of a find that is shown and counted among the mistakes.
 pub const SHOWN_SCORE: f64 = 0.3;
 
 const INK: Color = [40, 40, 40];
@@ -29,7 +29,7 @@ const CLASS_COLORS: [Color; 10] = [
     [207, 190, 23],
 ];
 
-/// A BGR picture under the brush.
+/// A BGR image to draw on.
 struct Canvas {
     width: usize,
     height: usize,
@@ -90,18 +90,18 @@ pub fn curves(path: &Path, title: &str, classes: &[String], scores: &Scores) -> 
     canvas.save(path)
 }
 
-/// Scores of one class beside what came of them; with a correction also the corrected ones.
+/// Scores of one class with their outcomes; with a correction also the corrected ones.
 pub struct Reliability {
     /// Name of the class.
     pub name: String,
-    /// As the model gives them.
+    /// Uncorrected outcomes.
     pub before: Vec<Outcome>,
-    /// Corrected; empty where there is no correction.
+    /// Corrected outcomes; empty without a correction.
     pub after: Vec<Outcome>,
 }
 
-/// Reliability diagrams: share of right finds over the mean score of each bin, red as the model gives them, blue corrected; on the diagonal scores are
-/// probabilities. Bars show how many finds a bin has.
+/// Reliability diagrams: share of correct finds over the mean score of each bin, red uncorrected, blue corrected; on
+/// the diagonal scores are probabilities. Bars show the number of finds of a bin.
 pub fn reliability(path: &Path, title: &str, classes: &[Reliability]) -> Result<()> {
     const PANEL: (f32, f32, f32) = (290.0, 300.0, 210.0);
     const BEFORE: Color = [60, 60, 220];
@@ -152,7 +152,7 @@ pub fn reliability(path: &Path, title: &str, classes: &[Reliability]) -> Result<
     canvas.save(path)
 }
 
-/// How often a true class (rows, the last one nothing) was taken for another (columns, the last one nothing).
+/// Confusion of true classes (rows, the last for background) with detected classes (columns, the last for background).
 pub fn confusion(truth: &Truth, finds: &[Vec<Find>], shape: Shape) -> Vec<Vec<usize>> {
     let n = truth.classes.len();
     let mut table = vec![vec![0; n + 1]; n + 1];
@@ -167,7 +167,7 @@ pub fn confusion(truth: &Truth, finds: &[Vec<Find>], shape: Shape) -> Vec<Vec<us
     table
 }
 
-/// The table of [`confusion`] as a picture; shares are of each row.
+/// The table of [`confusion`] as an image; shares are of each row.
 pub fn confusion_picture(path: &Path, title: &str, classes: &[String], table: &[Vec<usize>]) -> Result<()> {
     let n = classes.len();
     let cell = if n <= 12 { 64.0 } else { (900.0 / (n + 1) as f32).max(14.0) };
@@ -201,14 +201,14 @@ pub fn confusion_picture(path: &Path, title: &str, classes: &[String], table: &[
     canvas.save(path)
 }
 
-/// A mistake in a picture.
+/// A mistake in an image.
 struct Mistake {
     picture: usize,
     words: String,
     weight: f64,
 }
 
-/// Missed objects, the largest first, in turn with false finds, the surest first; each picture once.
+/// Missed objects, largest first, alternating with false finds, most confident first; each image once.
 fn mistakes(truth: &Truth, finds: &[Vec<Find>], shape: Shape) -> Vec<Mistake> {
     let (mut missed, mut false_finds) = (Vec::new(), Vec::new());
     let name = |class: usize| truth.classes.get(class).map_or("?", String::as_str);
@@ -251,7 +251,7 @@ fn mistakes(truth: &Truth, finds: &[Vec<Find>], shape: Shape) -> Vec<Mistake> {
     }
 }
 
-/// A picture file, shrunk to fit, with its scale.
+/// An image file, shrunk to fit, with its scale.
 fn thumbnail(path: &Path, width: usize, height: usize) -> Result<(Canvas, f32)> {
     let image = image::open(path).on_file(FileAction::Read, path)?;
     let small = image.resize(width as u32, height as u32, image::imageops::FilterType::Triangle).to_rgb8();
@@ -260,7 +260,7 @@ fn thumbnail(path: &Path, width: usize, height: usize) -> Result<(Canvas, f32)> 
     Ok((Canvas { width: small.width() as usize, height: small.height() as usize, bgr }, scale))
 }
 
-/// Lays a mask over a shrunk picture.
+/// Draws a mask over a shrunk image.
 fn lay(canvas: &mut Canvas, mask: &Mask, scale: f32, color: Color) {
     let (w, h) = (canvas.width, canvas.height);
     let at = |i: usize| ((i as f32 + 0.5) / scale) as usize;
@@ -269,7 +269,7 @@ fn lay(canvas: &mut Canvas, mask: &Mask, scale: f32, color: Color) {
     draw::blend_mask(&mut canvas.view(), &View::new(&bytes, w, h, 1), color, 0.35);
 }
 
-/// Truth green, finds red with their scores.
+/// Draws ground truth in green and finds in red with their scores.
 fn mark(canvas: &mut Canvas, scale: f32, objects: &[Object], finds: &[Find], classes: &[String], shape: Shape) {
     const TRUE: Color = [60, 220, 60];
     const FOUND: Color = [60, 60, 255];
@@ -301,7 +301,7 @@ fn mark(canvas: &mut Canvas, scale: f32, objects: &[Object], finds: &[Find], cla
     }
 }
 
-/// A contact sheet of the worst misses, at most 24; with `all` of the first pictures whatever they show.
+/// A contact sheet of the worst misses, at most 24; with `all`, the first images regardless of misses.
 pub fn sheet(path: &Path, truth: &Truth, finds: &[Vec<Find>], shape: Shape, all: bool) -> Result<()> {
     const CELL: (usize, usize) = (320, 250);
     const COLUMNS: usize = 4;

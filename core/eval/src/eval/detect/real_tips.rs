@@ -1,4 +1,4 @@
-//! How far found tips lie from the ends of labelled outlines, on real pictures.
+//! Distance of found tips from the ends of labelled outlines, on real images.
 
 use std::path::Path;
 
@@ -11,13 +11,14 @@ use crate::run::{self, Pace, Plan};
 use crate::session::Session;
 use panoscope_imaging::detect::Mask;
 
-/// Pixels this much farther from the picture's border than the nearest one belong to where an outline comes from, px.
+/// Tolerance of the distance from the image's border of the entry of an outline, px.
 const ENTRY_PX: usize = 4;
-/// Pixels at least this share of the longest way from there belong to the outline's end.
+/// Minimum distance from the entry of pixels of the outline's end, as a share of the maximum.
 const END_SHARE: f64 = 0.97;
 
-/// End of an outline: the mean of the pixels that are farthest from where the outline is nearest to the picture's border, for that is where the shaft comes from, at the
-/// border or at the rim of a round picture. Between open jaws the end is a point of the longer one or between both. `None` for an empty outline.
+/// End of an outline: the mean of the pixels that are farthest from the entry, the part nearest to the image's border
+/// or to the rim of a round image, where the shaft enters. Between open jaws the end is a point of the longer one or
+/// between both. `None` for an empty outline.
 fn end_of(mask: &Mask) -> Option<[f64; 2]> {
     let [x0, y0, width, height] = mask.bounds();
     let columns = x0 as usize..(x0 + width).ceil() as usize;
@@ -35,8 +36,9 @@ fn end_of(mask: &Mask) -> Option<[f64; 2]> {
     Some(mean(&mut pixels().filter(|at| away(*at) >= END_SHARE * longest)))
 }
 
-/// Looks for the tip of each labelled class in each picture of `truth`, from the boxes or the outlines of a model. A tip counts as found in a picture if the
-/// node gives one for that class; its error is the distance to the nearest end of that class.
+/// Finds the tip of each labelled class in each image of `truth`, from the boxes or the outlines of a model. A tip
+/// counts as found in an image if the node returns one for that class; its error is the distance to the nearest end of
+/// that class.
 pub fn run(session: &dyn Session, truth: &Truth, node: Node, model: &Path) -> Result<Tips> {
     let scratch = Folder::new("panoscope-tips")?;
     let inputs = match node {

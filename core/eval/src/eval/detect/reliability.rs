@@ -1,35 +1,36 @@
-//! How far the scores of a detector are probabilities, and the curve that makes them so.
+//! Calibration of a detector's scores as probabilities, and the curve that corrects them.
 //!
-//! Finds are sorted into bins by their score; in each the share of right finds should be the mean score. The expected calibration error is the mean
-//! difference, each bin weighted by its finds (Naeini et al. 2015). A temperature and a bias on the logit (Platt 1999; Guo et al. 2017) are fitted by
-//! maximum likelihood. They keep the order of the scores, so that average precision stays as it is.
+//! Finds are sorted into bins by their score; in each, the share of correct finds should equal the mean score. The
+//! expected calibration error is the mean difference, each bin weighted by its finds (Naeini et al. 2015). A
+//! temperature and a bias on the logit (Platt 1999; Guo et al. 2017) are fitted by maximum likelihood. They keep the
+//! order of the scores, so that average precision is unchanged.
 
 /// Number of bins of a diagram.
 pub const BINS: usize = 10;
-/// Nearest to 0 and 1 that a score counts.
+/// Minimum distance of a score from 0 and 1; scores are clamped.
 const EDGE: f64 = 1e-6;
-/// Steps of Newton's method, of which a dozen suffice.
+/// Steps of Newton's method, a dozen suffice.
 const STEPS: usize = 50;
-/// Weight of the prior that the scores are probabilities already, in finds: keeps a fit of a few finds near it.
+/// Weight of the prior of calibrated scores, in finds; keeps a fit of a few finds near the identity.
 const PRIOR: f64 = 1.0;
 
-/// One find: its score, and whether it is right.
+/// One find: its score, and whether it is correct.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
     /// Score, 0 to 1.
     pub score: f64,
-    /// Whether it meets an object of its class.
+    /// Whether it matches an object of its class.
     pub is_right: bool,
 }
 
-/// Finds whose scores lie in one part of 0..1.
+/// Finds with scores in one part of 0..1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Bin {
     /// Number of finds.
     pub count: usize,
     /// Mean score; NaN without a find.
     pub score: f64,
-    /// Share of right finds; NaN without a find.
+    /// Share of correct finds; NaN without a find.
     pub right: f64,
 }
 
@@ -57,7 +58,7 @@ pub fn expected_error(outcomes: impl Iterator<Item = Outcome>) -> f64 {
 /// Probability `1 / (1 + exp(-(logit(score) / temperature + bias)))`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Curve {
-    /// Above 1 for a network that is too sure of itself.
+    /// Temperature; above 1 for an overconfident network.
     pub temperature: f64,
     /// Added to the logit.
     pub bias: f64,
@@ -73,7 +74,7 @@ fn sigmoid(v: f64) -> f64 {
 }
 
 impl Curve {
-    /// Leaves scores as they are.
+    /// The identity.
     pub const NONE: Self = Self { temperature: 1.0, bias: 0.0 };
 
     /// The probability of a score.
@@ -86,7 +87,7 @@ impl Curve {
         Outcome { score: self.probability(outcome.score), ..outcome }
     }
 
-    /// The likeliest curve; [`Self::NONE`] where finds are all right, all wrong, or too few to tell.
+    /// The maximum-likelihood curve; [`Self::NONE`] if finds are all correct, all wrong, or too few.
     ///
     /// Newton's method on slope and bias of the logistic regression, with a weak prior on a slope of 1 and a bias of 0.
     pub fn fit(outcomes: &[Outcome]) -> Self {
@@ -121,7 +122,7 @@ impl Curve {
     }
 }
 
-/// The lowest score such that of the finds at or above it at least `precision` are right; 1 where there is none.
+/// The minimum score at which the share of correct finds is at least `precision`; 1 if there is none.
 pub fn limit_for(outcomes: &[Outcome], precision: f64) -> f64 {
     let mut sorted = outcomes.to_vec();
     sorted.sort_by(|a, b| b.score.total_cmp(&a.score));

@@ -1,4 +1,4 @@
-//! The same finds judged by `pycocotools`: both must agree to four decimals.
+//! The same detections evaluated by `pycocotools`: both must agree to four decimals.
 
 use std::io::Write;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::inputs::Folder;
 use crate::session::{Session, note};
 use panoscope_imaging::detect::{Find, Mask, Scores, Shape};
 
-/// Reads both files, judges, prints one line of JSON.
+/// Reads both files, evaluates, prints one line of JSON.
 const SCRIPT: &str = r#"
 import contextlib, io, json, sys
 import numpy as np
@@ -83,7 +83,7 @@ fn finds_json(finds: &[Vec<Find>], shape: Shape) -> Value {
     finds.iter().enumerate().flat_map(|(i, list)| list.iter().map(move |f| one(i, f))).collect::<Vec<_>>().into()
 }
 
-/// Masks as run lengths must be packed for `pycocotools`, which its own functions do.
+/// Packs run-length masks with the functions of `pycocotools`.
 const PACK: &str = r#"
 from pycocotools import mask
 for path in (truth, found):
@@ -96,7 +96,8 @@ for path in (truth, found):
     json.dump(held, open(path, "w"))
 "#;
 
-/// Judges the same finds with `pycocotools` of `python` and compares; an error when a figure differs by more than 0.00005.
+/// Evaluates the same detections with `pycocotools` of `python` and compares; an error when a figure differs by more
+/// than 0.00005.
 pub fn compare(
     session: &dyn Session,
     python: &Path,
@@ -123,7 +124,7 @@ pub fn compare(
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .with_context(|| format!("cannot start {}: name a Python with --python", python.display()))?;
+        .with_context(|| format!("cannot start {}: choose a Python with --python", python.display()))?;
     if let Some(mut input) = child.stdin.take() {
         // A Python that ended already says why below.
         let _ = input.write_all(script.as_bytes());
@@ -132,7 +133,7 @@ pub fn compare(
     let words = String::from_utf8_lossy(&output.stderr);
     if words.contains("No module named") {
         bail!(
-            "{} has no pycocotools: `{} -m pip install pycocotools`, or name another Python with --python",
+            "{} has no pycocotools: run `{} -m pip install pycocotools`, or choose another Python with --python",
             python.display(),
             python.display()
         );
@@ -140,14 +141,15 @@ pub fn compare(
     if !output.status.success() {
         bail!("pycocotools failed: {}", words.lines().last().unwrap_or("no reason given"));
     }
-    let theirs: PeerScores = serde_json::from_slice(&output.stdout).context("pycocotools answered something else")?;
+    let theirs: PeerScores =
+        serde_json::from_slice(&output.stdout).context("the output of pycocotools is malformed")?;
     let mut worst = 0f64;
     let mut check = |what: &str, own: f64, other: Option<f64>| -> Result<()> {
         let Some(other) = other else {
             if own.is_nan() {
                 return Ok(());
             }
-            bail!("self-check: {what} is {own:.6} here and nothing in pycocotools");
+            bail!("self-check: {what} is {own:.6} here, but missing in pycocotools");
         };
         worst = worst.max((own - other).abs());
         // NaN agrees with nothing.

@@ -22,7 +22,7 @@ fn percent(value: f64) -> String {
     if value.is_nan() { "-".to_owned() } else { format!("{:.1} %", value * 100.0) }
 }
 
-/// Names of the classes of all truths: each truth numbers its own.
+/// Names of the classes of all ground truths, which number classes separately.
 fn names<'j>(truths: impl Iterator<Item = &'j Truth>) -> Vec<&'j str> {
     let mut names: Vec<&str> = Vec::new();
     for name in truths.flat_map(|truth| &truth.classes) {
@@ -37,7 +37,7 @@ fn number_of(truth: &Truth, name: &str) -> Option<usize> {
     truth.classes.iter().position(|class| class == name)
 }
 
-/// Pictures in which a class is seen, and its objects.
+/// Number of images with a class, and number of its objects.
 fn counts(truth: &Truth, name: &str) -> (usize, usize) {
     let Some(class) = number_of(truth, name) else { return (0, 0) };
     let of = |p: &super::truth::Picture| p.objects.iter().filter(|o| o.class == class && !o.ignored).count();
@@ -119,7 +119,7 @@ fn precision(out: &mut String, title: &str, list: &[(&JudgeInputs, &str, &Scores
     row(out, &cells);
 }
 
-/// All tables of what was judged.
+/// All tables of the evaluations.
 pub fn all(judged: &[JudgeInputs]) -> String {
     let of = |node: Node| -> Vec<&JudgeInputs> { judged.iter().filter(|j| j.node == node).collect() };
     let (boxes, masks) = (of(Node::Yolo), of(Node::MaskRcnn));
@@ -146,7 +146,8 @@ mod tests {
     use super::*;
     use panoscope_imaging::detect::Object;
 
-    /// A case whose classes are numbered as they stand there, one object of each; its AP is 0.1 for `hook`, 0.2 for the others.
+    /// A case whose classes are numbered in this order, one object of each; its AP is 0.1 for `hook`, 0.2 for the
+    /// others.
     fn case(name: &str, classes: &[&str]) -> JudgeInputs {
         let object = |class| Object { class, bbox: [0.0, 0.0, 9.0, 9.0], mask: None, ignored: false };
         let picture =

@@ -1,8 +1,9 @@
-//! Whether a panorama shows instruments with the shape that they have in one of its views.
+//! Compares the shape of instruments in a panorama with that in its views.
 //!
-//! Works on rendered scenes: metal and plastic are gray there, tissue is red, so that outlines are where the color changes, to fractions of a
-//! pixel. The outline of each instrument in the panorama is laid on those of either view by a homography (iterative closest points), which keeps
-//! straight edges straight, as the panorama places views by homographies; what differs then is a bent, torn or missing piece.
+//! Works on rendered scenes: metal and plastic are gray there, tissue is red, so that outlines can be located by
+//! colour, to fractions of a pixel. The outline of each instrument in the panorama is laid on those of either view by a
+//! homography (iterative closest points), which keeps straight edges straight, as the panorama places views by
+//! homographies; the remaining difference is a bent, torn or missing piece.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -17,29 +18,30 @@ pub struct Image {
     pub pixels: Vec<u8>,
 }
 
-/// How the instruments of a panorama differ from the views.
+/// Differences of a panorama's instruments from the views.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
-    /// For each instrument the 98 % quantile of the distance between its outline and that of the view that fits best, px.
+    /// For each instrument the 98 % quantile of the distance between its outline and that of the view that fits best,
+    /// px.
     pub deviations_px: Vec<f64>,
-    /// View that fits the largest instrument best (0 left, 1 right), and where the instrument's centre is in that view minus where it is in the
-    /// panorama, px.
+    /// View that fits the largest instrument best (0 left, 1 right), and where the instrument's centre is in that view
+    /// minus where it is in the panorama, px.
     pub position: Option<(usize, Point)>,
 }
 
 type Point = [f64; 2];
 
-/// (R - B) / R up to which a pixel is gray.
+/// Maximum (R - B) / R of a gray pixel.
 const MAX_REDNESS: f32 = 0.14;
-/// Red below which redness is not divided by it: noise in the dark.
+/// Minimum red value for the division, because of noise in dark pixels.
 const DARK: f32 = 36.0;
-/// Brighter pixels are reflections on tissue.
+/// Maximum brightness; brighter pixels are reflections on tissue.
 const MAX_BRIGHTNESS: f32 = 225.0;
-/// Share of the image's pixels that an instrument has at least.
+/// Minimum size of an instrument as a share of the image's pixels.
 const MIN_AREA: f64 = 0.006;
-/// Outlines nearer to the border of an image are those of the image, px.
+/// Distance from an image's border below which outlines belong to the image, px.
 const BORDER_PX: f64 = 5.0;
-/// Outlines farther apart do not belong together, px.
+/// Maximum distance of corresponding outlines, px.
 const REACH_PX: f64 = 16.0;
 /// Length by which coordinates are divided before equations are solved, px.
 const CONDITION_PX: f64 = 300.0;
@@ -151,7 +153,7 @@ impl Outlines {
     }
 }
 
-/// How gray each pixel is, averaged over 3 x 3 pixels. Reflections count as red.
+/// Redness of each pixel, averaged over 3 x 3 pixels. Reflections count as red.
 fn redness(image: &Image) -> Vec<f32> {
     let (width, height) = (image.width, image.height);
     let pixels = image.pixels.as_chunks::<3>().0;
@@ -212,7 +214,8 @@ fn label(redness: &[f32], width: usize, height: usize) -> Vec<usize> {
 #[derive(Clone, Copy, Debug)]
 struct Projective(Matrix3<f64>);
 
-/// Weight of the perspective terms against one point of the outline; only keeps them small where an outline does not determine them.
+/// Weight of the perspective terms against one point of the outline; only keeps them small where an outline does not
+/// determine them.
 const PERSPECTIVE_WEIGHT: f64 = 0.1;
 
 impl Projective {
@@ -229,7 +232,7 @@ impl Projective {
         self.0.try_inverse().map(Self)
     }
 
-    /// The one that moves the first points of the pairs next to the second ones, by least squares; an affine one unless `has_perspective`.
+    /// The least-squares map from the first to the second points of the pairs; an affine one unless `has_perspective`.
     fn of(pairs: &[(Point, Point)], has_perspective: bool) -> Option<Self> {
         let (mut normal, mut right) = (SMatrix::<f64, 8, 8>::zeros(), SVector::<f64, 8>::zeros());
         for (from, to) in pairs {
@@ -260,7 +263,7 @@ struct Fit {
     offset: Point,
 }
 
-/// Lays an outline of `shown` on those of a view. `None` if the view does not show enough of it.
+/// Fits an outline to those of a view. `None` if the view does not show enough of it.
 fn fit(outline: &[Point], shown: &Outlines, view: &Outlines) -> Option<Fit> {
     let starts = view.instruments.iter().flat_map(|other| starts(outline, other));
     // The mean distance inside the view: what is beyond its border says nothing.
@@ -310,7 +313,7 @@ fn fit(outline: &[Point], shown: &Outlines, view: &Outlines) -> Option<Fit> {
     Some(Fit { deviation_px: there.max(back), offset: minus(at.map(centre), centre) })
 }
 
-/// Translations that lay corners of the bounds, or the centres, of two outlines on each other.
+/// Translations that align corners of the bounds, or the centres, of two outlines.
 fn starts(outline: &[Point], other: &[Point]) -> Vec<Projective> {
     let bounds = |points: &[Point]| {
         let all = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];

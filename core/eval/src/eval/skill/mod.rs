@@ -1,4 +1,4 @@
-//! A report of surgical skill from tracks of tips, and the measures beside motions that are known in closed form.
+//! A report of surgical skill from tracks of tips, and the measures compared with motions known in closed form.
 
 mod options;
 mod page;
@@ -15,7 +15,7 @@ pub use options::{GRASPING, Options};
 pub use page::page;
 pub use study::SkillStudy;
 
-/// Judges the measures beside motions that are known in closed form, sampled evenly, at uneven times, and with pictures lost.
+/// Compares the measures with motions known in closed form, sampled evenly, unevenly, and with lost images.
 pub fn judge(options: &Options) -> Result<Vec<Figure>> {
     let settings = options.settings();
     let mut figures = Vec::new();

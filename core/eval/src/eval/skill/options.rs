@@ -1,19 +1,21 @@
-//! What a report of skill is made from.
+//! Options of a report of skill.
 
 use std::path::PathBuf;
 
 use panoscope_tracking::skill::Settings;
 
-/// Words in the name of a tool that can grasp.
+/// Substrings of names of tools that can grasp.
 pub const GRASPING: &str = "grasper,bipolar,clipper,forceps,needle";
 
 /// Options of [`judge`](super::judge) and [`SkillStudy::read`](super::SkillStudy::read).
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which reports touches too), or tips, as `write_table` writes them
-    /// (.csv, .jsonl). Without any, the measures are judged beside motions that are known in closed form.
+    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which reports touches too), or tips,
+    /// written by `write_table` (.csv, .jsonl). Without files, the measures are compared with motions known in closed
+    /// form.
     pub files: Vec<PathBuf>,
-    /// Phases of the operation, a line each: begin in s of capture time, comma, name. By default the column `phase` or `text` of the tracks.
+    /// Phases of the operation, one per line: start in s of capture time, comma, name. By default the column `phase` or
+    /// `text` of the tracks.
     pub phases: Option<PathBuf>,
     /// Names of the classes by their numbers, separated by commas.
     pub labels: String,
@@ -21,7 +23,7 @@ pub struct Options {
     pub grasping: String,
     /// Speed below which a tool rests, mm/s.
     pub rest_mm_s: f64,
-    /// Longest time between two tips that is bridged, ms.
+    /// Maximum time between two tips that is bridged, ms.
     pub max_gap_ms: f64,
 }
 

@@ -1,4 +1,4 @@
-//! The report as one page: tables and plots, no other file, no script, nothing from a network.
+//! The report as one self-contained page: tables and plots, without scripts or network access.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use panoscope_tracking::skill::{Measures, Movement};
 use super::study::{SkillStudy, shown};
 use crate::svg::{Axis, COLORS, Plot, STYLE, WIDTH, escaped};
 
-/// What measures mean, with their sources.
+/// Meanings of measures, with their sources.
 const MEANINGS: [(&str, &str); 11] = [
     (
         "Time, time out of view, departures",
@@ -72,7 +72,7 @@ fn measures_table(out: &mut String, heads: &[&str], columns: &[(&Measures, Optio
     out.push_str("</tr></table>\n");
 }
 
-/// The page.
+/// Renders the page.
 pub fn page(study: &SkillStudy) -> String {
     let mut out = String::from(
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Surgical skill</title><style>",

@@ -14,7 +14,7 @@ use super::tracks::Track;
 use crate::error::{Context, FileAction, OnFile, Result, ensure};
 use crate::session::{Session, check_cancelled};
 
-/// What a report is made of.
+/// Data of a report.
 pub struct SkillStudy {
     pub(super) session: skill::Session,
     pub(super) traces: Vec<Trace>,
@@ -22,9 +22,9 @@ pub struct SkillStudy {
     pub(super) files: Vec<String>,
     /// First and last time, s.
     pub(super) span_s: (f64, f64),
-    /// When phases began, s, and their numbers.
+    /// Start of each phase, s, and its number.
     pub(super) changes: Vec<(f64, usize)>,
-    /// Tips that belong to no tool because there are too many.
+    /// Tips without a tool, because there are too many tools.
     refused: u64,
     settings: Settings,
 }
@@ -36,16 +36,16 @@ fn read_phases(path: &Path) -> Result<Vec<(f64, String)>> {
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let place = || format!("{}, line {}", path.display(), index + 1);
         let (start, name) =
-            line.split_once(',').with_context(|| format!("{}: a begin in s, a comma, a name", place()))?;
+            line.split_once(',').with_context(|| format!("{}: expected a begin in s, a comma and a name", place()))?;
         let Ok(start) = start.trim().parse::<f64>() else {
             // A head is welcome.
             ensure!(index == 0, "{}: `{}` is not a number of seconds", place(), start.trim());
             continue;
         };
-        ensure!(phases.last().is_none_or(|(last, _)| *last <= start), "{}: phases come in order of time", place());
+        ensure!(phases.last().is_none_or(|(last, _)| *last <= start), "{}: phases must be in order of time", place());
         phases.push((start, name.trim().to_owned()));
     }
-    ensure!(!phases.is_empty(), "{} holds no phase", path.display());
+    ensure!(!phases.is_empty(), "{} has no phase", path.display());
     Ok(phases)
 }
 
@@ -53,7 +53,7 @@ impl SkillStudy {
     /// Reads the tracks and measures.
     ///
     /// # Errors
-    /// A file cannot be read or holds no tip, or the session is cancelled.
+    /// A file cannot be read or has no tip, or the session is cancelled.
     pub fn read(session: &dyn Session, options: &Options) -> Result<Self> {
         read(session, options)
     }
@@ -102,7 +102,7 @@ impl SkillStudy {
         }
     }
 
-    /// Touches of a tool that grasps.
+    /// Number of grasps of a tool that grasps, as text.
     pub(super) fn grasps(&self, name: &str, measures: &Measures) -> Option<u64> {
         let name = name.to_lowercase();
         measures.contacts().filter(|_| self.grasping.iter().any(|word| name.contains(word.as_str())))
@@ -152,7 +152,7 @@ impl SkillStudy {
     }
 }
 
-/// A number for people.
+/// A formatted number.
 pub(super) fn shown(value: f64) -> String {
     match value.abs() {
         _ if !value.is_finite() => "-".to_owned(),
@@ -225,7 +225,11 @@ fn read(session: &dyn Session, options: &Options) -> Result<SkillStudy> {
         }
         study.collect();
     }
-    ensure!(study.session.tools().next().is_some(), "no tip in {}: was anything seen?", study.files.join(", "));
+    ensure!(
+        study.session.tools().next().is_some(),
+        "{} has no positions of a tip: did the run detect an instrument?",
+        study.files.join(", ")
+    );
     study.session.finish();
     study.collect();
     Ok(study)

@@ -1,11 +1,11 @@
-//! What plots show of a tool, in bounded memory however long the operation.
+//! Data for plots of a tool, in bounded memory.
 
 use panoscope_tracking::skill::measures::Activity;
 use panoscope_tracking::skill::{CELL_S, Cell, Movement};
 
-/// Parts of time that are kept; when there are more, pairs become one.
+/// Maximum number of time parts; beyond it pairs are merged.
 const MAX_PARTS: usize = 1200;
-/// Positions of the path that are kept, and movements; so too.
+/// Maximum number of path positions and of movements; beyond it they are thinned.
 const MAX_PLACES: usize = 4000;
 const MAX_MOVEMENTS: usize = 4000;
 
@@ -18,15 +18,15 @@ pub struct Part {
     pub speed_max: f64,
 }
 
-/// See the module.
+/// Data for plots of one tool; see the module.
 #[derive(Debug, Default)]
 pub struct Trace {
     /// Cells per part: 1, 2, 4 and so on.
     pub per_part: i64,
-    /// Cell that the first part begins with.
+    /// First cell of the first part.
     pub first: i64,
     pub parts: Vec<Part>,
-    /// Positions, mm, and whether the tool was in view all the way from the one before.
+    /// Positions, mm, and whether the tool stayed in view since the previous one.
     pub places: Vec<([f64; 3], bool)>,
     per_place: i64,
     last_cell: i64,
@@ -37,7 +37,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Takes a cell; they come in order.
+    /// Adds a cell; cells must be in order.
     pub fn cell(&mut self, cell: &Cell) {
         if self.per_part == 0 {
             (self.per_part, self.per_place, self.first) = (1, 1, cell.index);
@@ -78,7 +78,7 @@ impl Trace {
         }
     }
 
-    /// Takes a movement.
+    /// Adds a movement.
     pub fn movement(&mut self, movement: &Movement) {
         self.per_movement = self.per_movement.max(1);
         self.skipped += 1;

@@ -1,4 +1,4 @@
-//! Tracks of tips as `write_table` writes them: CSV and JSON lines, read line by line.
+//! Tracks of tips written by `write_table`: CSV and JSON lines, read line by line.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -14,22 +14,22 @@ pub struct Row {
     pub at_s: f64,
     /// The current phase, if the file has it.
     pub phase: Option<String>,
-    /// The tip, while it is seen.
+    /// The tip, while it is visible.
     pub tip: Option<Tip>,
 }
 
 /// A tip of a track.
 #[derive(Clone, Copy, Debug)]
 pub struct Tip {
-    /// Number of the tool; -1 where the file has none.
+    /// Number of the tool; -1 if the file has none.
     pub track_id: i64,
     /// Class of the tool, if the file has it.
     pub class_index: Option<u32>,
-    /// What the session takes.
+    /// Sample for the session.
     pub sample: Sample,
 }
 
-/// Longest prediction that still counts as seen, ms.
+/// Maximum prediction that still counts as visible, ms.
 const MAX_GAP_MS: f64 = 150.0;
 
 enum Form {
@@ -66,7 +66,7 @@ fn cells(line: &str) -> Option<Vec<String>> {
     (!is_quoted).then_some(cells)
 }
 
-/// Makes a row of named numbers and words.
+/// Makes a row from named numbers and texts.
 fn row(at_s: f64, number: &dyn Fn(&str) -> f64, word: &dyn Fn(&str) -> Option<String>) -> Row {
     let place = |x: &str, y: &str, z: &str| -> Option<[f64; 3]> {
         let place = [x, y, z].map(number);
@@ -94,7 +94,7 @@ fn row(at_s: f64, number: &dyn Fn(&str) -> f64, word: &dyn Fn(&str) -> Option<St
 }
 
 impl Track {
-    /// Opens a file and looks at what it holds.
+    /// Opens a file and reads its columns.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display();
         let file = File::open(path).with_context(|| format!("cannot read {name}"))?;
@@ -117,7 +117,7 @@ impl Track {
                 || has(&["tip.xyz_mm_0", "tip.xyz_mm_1", "tip.xyz_mm_2"]);
             if !is_track {
                 bail!(
-                    "{name} has no columns of places (`x_mm`, `y_mm`, `z_mm`): give a table of `tip_track` or `proximity`, or a tip"
+                    "{name} has no columns of positions (`x_mm`, `y_mm`, `z_mm`): give a table of `tip_track` or `proximity`, or a tip"
                 );
             }
             Form::Csv(columns)
@@ -165,7 +165,7 @@ impl Track {
                             return Ok(());
                         }
                         bail!(
-                            "{} has not as many cells as the first line: was the file written by two runs?",
+                            "{} has another number of cells than the first line: was the file written by two runs?",
                             place(self.line)
                         );
                     };
@@ -203,7 +203,7 @@ impl Track {
             };
             for row in rows {
                 if !row.at_s.is_finite() {
-                    bail!("{} has no time: `capture_ms` is missing or no number", place(self.line));
+                    bail!("{} has no time: `capture_ms` is missing or not a number", place(self.line));
                 }
                 if row.at_s < self.last_s {
                     bail!(

@@ -1,8 +1,9 @@
-//! As-projective-as-possible warps by the book, as a reference: J. Zaragoza, T.-J. Chin, M. S. Brown, D. Suter, "As-projective-as-possible image
-//! stitching with moving DLT", CVPR 2013.
+//! As-projective-as-possible warps by the book, as a reference: J. Zaragoza, T.-J. Chin, M. S. Brown, D. Suter,
+//! "As-projective-as-possible image stitching with moving DLT", CVPR 2013.
 //!
-//! Each vertex of a grid over the panorama gets a homography of its own, by a direct linear transform in which the matches near it weigh most. It
-//! follows parallax where there are matches and knows no depth. Its authors' parameters are kept.
+//! Each vertex of a grid over the panorama gets its own homography, by a direct linear transform in which nearby
+//! matches have the largest weights. It follows parallax where there are matches and uses no depth. Its authors'
+//! parameters are kept.
 
 use nalgebra::{SMatrix, SymmetricEigen};
 use panoscope_imaging::geometry::{Homography, Point, Ransac, RansacParams};
@@ -10,17 +11,18 @@ use panoscope_imaging::stitch::{Lattice, Mesh};
 
 /// Distance at which the weight of a match has fallen to 1/e, px (the authors' `sigma`).
 const REACH_PX: f64 = 8.5;
-/// Least weight of a match (the authors' `gamma`): far from all matches the warp is that of all of them.
+/// Minimum weight of a match (the authors' `gamma`): far from all matches the warp is that of all of them.
 const MIN_WEIGHT: f64 = 0.01;
 /// Cells of the grid along the panorama's longer side.
 const CELLS: f64 = 100.0;
-/// Largest error of a match that RANSAC keeps, in units in which the mean distance of the points from their centroid is the root of two.
+/// Maximum error of a match that RANSAC accepts, in units in which the mean distance of the points from their centroid
+/// is the root of two.
 const RANSAC_UNITS: f64 = 0.1;
 /// Matches below which there is no warp.
 const MIN_MATCHES: usize = 8;
 /// Cells that the grid reaches beyond the view's corners.
 const MARGIN_CELLS: i32 = 3;
-/// Positions further from the other view than this many times its width and height follow the homography of all matches.
+/// Distance from the other view, in multiples of its size, beyond which positions follow the homography of all matches.
 const FAR_VIEWS: f64 = 4.0;
 
 type Matrix9 = SMatrix<f64, 9, 9>;
@@ -56,12 +58,13 @@ pub struct MovingDlt {
     matches: Vec<(Point, Matrix9)>,
     reference: Units,
     other: Units,
-    /// Of all matches alike.
+    /// Homography of all matches with equal weights.
     whole: Homography,
 }
 
 impl MovingDlt {
-    /// From matches without outliers: the same points in the reference view and in the other one, px. `None` when they determine no homography.
+    /// From matches without outliers: the same points in the reference view and in the other one, px. `None` if they do
+    /// not determine a homography.
     pub fn new(reference: &[Point], other: &[Point]) -> Option<Self> {
         if reference.len() != other.len() || reference.len() < MIN_MATCHES {
             return None;
@@ -97,7 +100,7 @@ impl MovingDlt {
         Some(new)
     }
 
-    /// Maps the reference view to the other one with all matches alike.
+    /// Maps the reference view to the other one with equal weights of all matches.
     pub fn whole(&self) -> &Homography {
         &self.whole
     }
@@ -125,7 +128,7 @@ impl MovingDlt {
         map.is_finite().then_some(map)
     }
 
-    /// The warp as a mesh over what the other view covers; `None` when the homography of all matches folds it over.
+    /// The warp as a mesh over the area of the other view; `None` if the homography of all matches folds it.
     pub fn mesh(&self, (width, height): (usize, usize)) -> Option<Mesh> {
         let corners = self.whole.inverse()?.map_corners(width, height)?;
         let bounds = [0, 1].map(|k| {
@@ -146,7 +149,8 @@ impl MovingDlt {
     }
 }
 
-/// The matches that agree on a homography, loosely: parallax must stay. `None` when there are too few.
+/// The matches that agree on a homography, with a loose threshold so that parallax is kept. `None` when there are too
+/// few.
 pub fn inliers(reference: &[Point], other: &[Point]) -> Option<(Vec<Point>, Vec<Point>)> {
     let units = Units::of(reference)?;
     let params = RansacParams { threshold_px: RANSAC_UNITS / units.scale, ..RansacParams::default() };

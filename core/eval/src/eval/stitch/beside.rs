@@ -1,4 +1,4 @@
-//! The registrations of several graphs side by side on the same pictures.
+//! Runs the registrations of several graphs on the same images.
 
 use std::path::{Path, PathBuf};
 
@@ -14,13 +14,13 @@ use crate::packets;
 use crate::run::{self, Pace, Plan};
 use crate::session::Session;
 
-/// Pictures without truth are judged on every so many ticks.
+/// Without ground truth, one of this many ticks is evaluated.
 const CORRELATED_EVERY: u32 = 3;
 
 /// Name of the shared source in the graph that is run, and in `--set`.
 pub const SOURCE: &str = "scope";
 
-/// Our conventional, ROI and grid pipelines and the two of the thesis, by the files of their graphs.
+/// Our conventional, ROI and grid pipelines and the two of the thesis: names of their graph files.
 const BUILT_IN: [(&str, &str); 5] = [
     ("conventional", "stitch_conventional.toml"),
     ("ROI", "stitch_roi.toml"),
@@ -29,16 +29,16 @@ const BUILT_IN: [(&str, &str); 5] = [
     ("chapter 4", "thesis_chapter4.toml"),
 ];
 
-/// A graph under the name that tables give it.
+/// A graph and its name in tables.
 #[derive(Clone, Debug)]
 pub struct Method {
-    /// In tables and plots.
+    /// Name in tables and plots.
     pub name: String,
-    /// The graph.
+    /// The checked graph.
     pub wiring: Wiring,
 }
 
-/// Those graphs that come with the program, in this order.
+/// Loads shipped graphs, in this order.
 pub fn built_in(names: &[&str]) -> Result<Vec<Method>> {
     let find = |name: &&str| BUILT_IN.iter().find(|(known, _)| known == name);
     let known = names.iter().filter_map(find);
@@ -49,7 +49,7 @@ pub fn built_in(names: &[&str]) -> Result<Vec<Method>> {
 /// Applies `--set` to every graph that has the node.
 ///
 /// # Errors
-/// When no graph has it, or the text is no setting.
+/// No graph has the node, or the text is not a setting.
 pub fn set_all(methods: &mut [Method], settings: &[String]) -> Result<()> {
     for text in settings {
         let (node, ..) = setting(text).with_context(|| format!("`{text}` is not NODE.PARAM=VALUE"))?;
@@ -58,7 +58,7 @@ pub fn set_all(methods: &mut [Method], settings: &[String]) -> Result<()> {
             known |= method.wiring.apply(text);
         }
         if !known {
-            bail!("`{text}`: none of the graphs has such a node `{node}`");
+            bail!("`{text}`: none of the graphs has a node `{node}`");
         }
     }
     Ok(())
@@ -94,7 +94,7 @@ fn rename(value: &mut Value, source: &str, index: usize) {
     }
 }
 
-/// One source, the registration of each graph, and a judge behind each.
+/// One source, the registration of each graph, and an evaluating node after each.
 fn joined(methods: &[Method], source: &Source) -> Result<String> {
     let mut nodes = Table::new();
     nodes.insert(SOURCE.to_owned(), source.node.clone().into());
@@ -138,7 +138,7 @@ fn joined(methods: &[Method], source: &Source) -> Result<String> {
     Ok(graph.to_string())
 }
 
-/// Runs all registrations on the same frames; gives the judge's table of each.
+/// Runs all registrations on the same frames; returns the table of each evaluating node.
 pub fn judged(session: &dyn Session, methods: &[Method], source: &Source, frames: u64) -> Result<Vec<packets::Table>> {
     let text = joined(methods, source)?;
     let names: Vec<String> = (0..methods.len()).map(|index| format!("judge_{index}")).collect();
@@ -147,23 +147,24 @@ pub fn judged(session: &dyn Session, methods: &[Method], source: &Source, frames
     let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
     let seen = run::run(session, &plan)?;
     let read = |packet: &Option<_>| -> Result<packets::Table> {
-        let packet: &panoscope_engine::memory::FrameRef = packet.as_ref().context("the judge saw nothing")?;
-        packets::Table::read(packet.bytes()).context("the judge's table could not be read")
+        let packet: &panoscope_engine::memory::FrameRef =
+            packet.as_ref().context("the evaluating node received no packets")?;
+        packets::Table::read(packet.bytes()).context("the table of the evaluating node is malformed")
     };
     seen.packets.iter().map(read).collect()
 }
 
-/// Median times of one graph on a source, one frame after the other, ms.
+/// Median times of one graph on a source, one frame at a time, ms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times {
-    /// All nodes that find the homography.
+    /// All nodes that find the homography, ms.
     pub registration_ms: f64,
-    /// The composite.
+    /// The node that draws the panorama, ms.
     pub composite_ms: f64,
 }
 
 impl Times {
-    /// Registration and composite.
+    /// Registration and composite, ms.
     pub fn whole_ms(&self) -> f64 {
         self.registration_ms + self.composite_ms
     }

@@ -1,7 +1,8 @@
-//! Chapter 4 beside chapter 2 on pictures that are hard to stitch: the thesis's Tables 4.1 (share of stitchable frames), 4.2 (alignment
-//! error) and 4.3 (time), and how still the result holds.
+//! Chapter 4 compared with chapter 2 on images that are hard to stitch: the thesis's Tables 4.1 (share of stitchable
+//! frames), 4.2 (alignment error) and 4.3 (time), and the jitter of the result.
 //!
-//! All methods get the same frames. The phantom's cases have exact truth; real pairs are judged by correspondences that correlation finds.
+//! All methods get the same frames. The phantom's cases have exact ground truth; real pairs are evaluated with
+//! correspondences from correlation.
 
 use std::path::{Path, PathBuf};
 
@@ -20,23 +21,23 @@ use crate::plot::{self, Chart, Series, Style};
 use crate::session::{Session, note};
 use crate::statistics::rms;
 
-/// Methods that are judged when no graph is given: the thesis's two, then ours.
+/// Methods evaluated by default: the thesis's two, then ours.
 const METHODS: [&str; 4] = ["chapter 2", "chapter 4", "ROI", "grid"];
-/// Ticks that a registration has to settle before it is judged how still it holds.
+/// Ticks for the registration to settle before its jitter is measured.
 const SETTLE: usize = 5;
-/// Ticks that are timed, one after the other.
+/// Timed ticks, one at a time.
 const TIMED: u64 = 16;
-/// Ticks of a run with views that hold still, at least.
+/// Minimum number of ticks of a run with still views.
 const STILL: u64 = 16;
 
-/// One kind of pictures.
+/// One kind of images.
 struct Case {
     name: &'static str,
-    /// In tables.
+    /// Title in tables.
     title: &'static str,
-    /// Of the phantom.
+    /// Parameters of the phantom.
     params: &'static [(&'static str, f64)],
-    /// Whether its fault is there with cameras at rest too.
+    /// Whether its fault also occurs with still cameras.
     can_rest: bool,
 }
 
@@ -61,26 +62,27 @@ const CASES: [Case; 7] = [
     },
 ];
 
-/// Scenes that each case of the phantom has.
+/// Scenes of the phantom in each case.
 const SCENES: [&str; 2] = ["liver", "bowel"];
 
-/// What one method did in one case.
+/// Result of one method in one case.
 #[derive(Clone, Debug, Default)]
 struct Outcome {
     tally: StitchScore,
-    /// How far the picture's grid moves from frame to frame while nothing moves, RMS px; NaN where the case has no rest.
+    /// Motion of the mapped image grid from frame to frame while nothing moves, RMS px; NaN if the case has no still
+    /// run.
     jitter_px: f64,
     times: Option<Times>,
 }
 
-/// One case, judged.
+/// Results of one case.
 struct CaseResult {
     name: String,
     title: String,
     input: String,
-    /// One per method.
+    /// One outcome per method.
     outcomes: Vec<Outcome>,
-    /// Alignment of the best plane, px.
+    /// Alignment error of the best plane, px.
     floor_px: f64,
 }
 
@@ -137,7 +139,7 @@ fn on_the_phantom(
     Ok(CaseResult { name, title, input, outcomes, floor_px: rms(&all_floors) })
 }
 
-/// Real stereo pairs, where they are; without truth and at rest never.
+/// Evaluates on real stereo pairs, if available; they have no ground truth and no still run.
 fn on_real_pairs(
     session: &dyn Session,
     methods: &[Method],
@@ -164,7 +166,7 @@ fn on_real_pairs(
     Ok(Some(CaseResult { name, title, input, outcomes, floor_px: rms(&floors) }))
 }
 
-/// A measure: title of its table, name and unit of its figures, digits behind the point, and what it is of an outcome.
+/// A measure: title of its table, name and unit of its figures, decimals, and its value in an outcome.
 struct Measure {
     title: &'static str,
     name: &'static str,
@@ -285,9 +287,9 @@ pub fn known() -> Vec<&'static str> {
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Graph files; the thesis's two and our two if empty.
+    /// Graph files; default: the thesis's two and our two.
     pub graphs: Vec<PathBuf>,
-    /// Names of [`known`] cases; all if empty.
+    /// Names of [`known`] cases; default: all.
     pub only: Vec<String>,
     /// Ticks of each run.
     pub frames: u64,
@@ -295,18 +297,18 @@ pub struct Options {
     pub settings: Vec<String>,
     /// Overlays of the graphs, and values of their arguments.
     pub given: GraphOptions,
-    /// Folders of data sets, searched before the usual ones.
+    /// Folders of data sets, searched before the default ones.
     pub data: Vec<PathBuf>,
-    /// Picture file (PNG) for all measures by case.
+    /// Image file (PNG) for a plot of all measures by case.
     pub plot: Option<PathBuf>,
 }
 
-/// Judges each graph on hard pictures: share of stitched frames, alignment, time, jitter.
+/// Evaluates each graph on hard images: share of stitched frames, alignment, time, jitter.
 ///
 /// Returns no figures if every case was skipped; the session receives the reasons.
 ///
 /// # Errors
-/// A graph or a setting cannot be used, a run fails, or the picture cannot be written.
+/// A graph or a setting cannot be used, a run fails, or the plot cannot be written.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let work = Folder::new("panoscope-eval")?;
     let methods = beside::methods(&options.graphs, &METHODS, &options.given, &options.settings)?;

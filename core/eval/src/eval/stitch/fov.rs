@@ -1,8 +1,10 @@
-//! How much more than one view a panorama shows, by scene and distance, beside the phantom's truth.
+//! Measures how much more than one view a panorama shows, by scene and distance, compared with the phantom's ground
+//! truth.
 //!
-//! `fov_total_pct` is the area of tissue that the panorama shows over the area of one view, in pixels of the reference view; `fov_gain_pct` is
-//! what exceeds 100. A homography that is wrong can stretch a view over a large canvas, so a pixel counts only when the phantom's footprint of all cameras
-//! has it, and a frame counts as one view (100 %) when a registration is lost or lies further from the true correspondences than [`WRONG`] allows.
+//! `fov_total_pct` is the area of tissue that the panorama shows over the area of one view, in pixels of the reference
+//! view; `fov_gain_pct` is the part above 100. A wrong homography can stretch a view over a large canvas, so a pixel
+//! counts only when the phantom's footprint of all cameras has it, and a frame counts as one view (100 %) if a
+//! registration is lost or its error exceeds [`WRONG`].
 
 use std::path::PathBuf;
 
@@ -19,11 +21,11 @@ use crate::registration::run_judged;
 use crate::session::Session;
 use crate::statistics::{mean, rms};
 
-/// Scenes of the phantom that are judged.
+/// Scenes of the phantom to evaluate.
 const SCENES: [&str; 2] = ["bowel", "liver"];
-/// Width of the picture in which the true footprint is drawn, in views: the second view may lie beside the first one.
+/// Width of the image in which the true footprint is drawn, in views: the second view may lie next to the first one.
 const WIDE_FACTOR: f64 = 3.0;
-/// States of a frame's registration as the judge writes them.
+/// Code of a fresh registration in the evaluating node's table.
 const FRESH: f64 = 0.0;
 const HELD: f64 = 1.0;
 /// Area of one view, percent.
@@ -40,11 +42,11 @@ pub struct Options {
     pub given: GraphOptions,
     /// Ticks of each run.
     pub frames: u64,
-    /// Distances from the scope to the tissue.
+    /// Distances from the scope to the tissue, mm.
     pub distances_mm: Vec<f64>,
 }
 
-/// Distances that the command judges by default.
+/// Default distances of the command, mm.
 pub const DISTANCES_MM: [f64; 4] = [20.0, 30.0, 50.0, 70.0];
 
 /// Field of view of one composite in one run.
@@ -53,20 +55,20 @@ struct Reach {
     /// Area shown, true area of the union of all views, in percent of one view; means over all frames.
     total_pct: f64,
     truth_pct: f64,
-    /// Area that the panorama covers, whether right or wrong.
+    /// Area that the panorama covers, whether correct or not.
     covered_pct: f64,
-    /// Share of frames whose registrations are all fresh and right.
+    /// Share of frames whose registrations are all fresh and correct.
     stitched_pct: f64,
     frames: usize,
-    /// Frames of which a registration was reported as lost, and frames accepted although wrong.
+    /// Number of frames with a registration reported as lost.
     lost: usize,
     wrong: usize,
-    /// Root mean square alignment error of good frames, and what the best planes leave, px.
+    /// Root mean square alignment error of correct frames, and that of the best planes, px.
     align_px: f64,
     floor_px: f64,
 }
 
-/// What one frame is worth.
+/// Quality of the registration of one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Fresh,
@@ -75,7 +77,7 @@ enum Verdict {
     Wrong,
 }
 
-/// The verdict on one pair of views in a frame.
+/// Verdict on one pair of views in a frame.
 fn verdict(state: f64, align_px: f64, floor_px: f64) -> Verdict {
     if state != FRESH && state != HELD {
         return Verdict::Lost;
@@ -88,7 +90,7 @@ fn verdict(state: f64, align_px: f64, floor_px: f64) -> Verdict {
     }
 }
 
-/// Reads the tables of a composite's judges, one per pair of views.
+/// Reads the tables of a composite's evaluating nodes, one per pair of views.
 fn reach(tables: &[Table]) -> Option<Reach> {
     let columns = |name: &str| tables.iter().map(|table| table.column(name)).collect::<Option<Vec<_>>>();
     let (states, aligns, floors) = (columns("state")?, columns("align_px")?, columns("floor_px")?);
@@ -190,10 +192,11 @@ const HEAD: [&str; 13] = [
     "best plane px",
 ];
 
-/// Area of the panorama over that of one view, for each graph, tissue and distance, beside the true union of the views.
+/// Measures the area of the panorama over that of one view, for each graph, tissue and distance, compared with the true
+/// union of the views.
 ///
 /// # Errors
-/// A graph has mistakes, nothing to judge or no phantom, or a run fails.
+/// A graph has mistakes, nothing to evaluate or no phantom, or a run fails.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let mut wirings = Vec::new();
     for path in &options.graphs {
@@ -237,7 +240,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     Ok(out)
 }
 
-/// Name of a composite in tables: that of its graph, and its own where the graph has several.
+/// Name of a composite in tables: that of its graph, followed by its own if the graph has several.
 fn name_of(wiring: &Wiring, composite: &Composite) -> String {
     if wiring.composites.len() > 1 { format!("{}_{}", wiring.name, composite.name()) } else { wiring.name.clone() }
 }

@@ -1,4 +1,4 @@
-//! Graph files, checked and made fit for judging.
+//! Graph files, checked and prepared for evaluation.
 
 use std::path::Path;
 
@@ -10,10 +10,10 @@ use crate::inputs::wiring::Wiring;
 
 pub use crate::inputs::wiring::setting;
 
-/// Reads a graph file with its parts, overlays, arguments and settings, checks it and takes it apart.
+/// Reads a graph file with its parts, overlays, arguments and settings, checks it and parses it.
 ///
 /// # Errors
-/// The graph has mistakes, or nothing in it can be judged.
+/// The graph has mistakes, or it has nothing to evaluate.
 pub fn wiring(path: &Path, options: &GraphOptions) -> Result<Wiring> {
     // All mistakes of the files as they stand, with their lines.
     let ready = match graph_file::open(path, options) {

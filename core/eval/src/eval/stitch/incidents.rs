@@ -1,27 +1,27 @@
-//! What a registration does while something goes wrong, and how soon it is back.
+//! Behaviour of a registration during a fault, and its recovery time.
 
 use crate::packets::Table;
 
-/// First picture that suffers, and how many do.
+/// First affected image, and number of affected images.
 pub const WINDOW: (i64, i64) = (20, 10);
-/// Ticks of a run: enough good ones behind the bad ones.
+/// Ticks of a run, with enough good ones after the bad ones.
 pub const TICKS: u64 = (WINDOW.0 + WINDOW.1) as u64 + 10;
-/// A registration is a wrong one that lies further from the true positions than this many times the best plane does, and so many px more.
+/// A registration is wrong if its error exceeds this multiple of the best plane's error plus this many px.
 pub const WRONG: (f64, f64) = (2.0, 6.0);
 const FRESH: f64 = 0.0;
 
-/// Something that the phantom can suffer.
+/// A fault that the phantom can render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Incident {
     /// Name in figures.
     pub name: &'static str,
-    /// The phantom's parameters.
+    /// Parameters of the phantom.
     pub params: &'static [(&'static str, &'static str)],
-    /// Names of the parameters that say when.
+    /// Names of the parameters for its first image and its length.
     pub window: [&'static str; 2],
-    /// Whether the pictures show tissue at all, so that a registration may be right.
+    /// Whether the affected images show tissue, so that a registration can be correct.
     pub seen: bool,
-    /// Whether the pictures are good again from the first bad one on.
+    /// Whether images after the first affected one are good again.
     pub at_once: bool,
 }
 
@@ -34,7 +34,7 @@ const fn incident(
     Incident { name, params, window: ["incident_first", "incident_count"], seen, at_once }
 }
 
-/// All of them.
+/// All incidents.
 pub const ALL: [Incident; 5] = [
     Incident {
         name: "black",
@@ -49,16 +49,16 @@ pub const ALL: [Incident; 5] = [
     incident("jump", &[("incident", "jump")], true, true),
 ];
 
-/// What was seen.
+/// Measured recovery.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Recovery {
-    /// Good pictures until a right registration is back; 1: the first one has it. NaN when it does not come back.
+    /// Good images until a correct registration; 1: the first one has it. NaN if there is none.
     pub frames: f64,
-    /// Bad pictures whose registration was called fresh and was wrong.
+    /// Affected images with a registration reported as fresh that is wrong.
     pub false_fresh: f64,
 }
 
-/// Reads a judge's table.
+/// Reads the table of an evaluating node.
 pub fn recovery(incident: &Incident, rows: &Table) -> Option<Recovery> {
     let (state, align, floor) = (rows.column("state")?, rows.column("align_px")?, rows.column("floor_px")?);
     let fresh = |tick: usize| state.get(tick) == Some(&FRESH);

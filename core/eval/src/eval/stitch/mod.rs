@@ -1,4 +1,5 @@
-//! Registration and panorama of a graph beside the truth, beside OpenCV's conventional pipeline and as-projective-as-possible warps.
+//! Registration and panorama of a graph compared with ground truth, OpenCV's conventional pipeline and
+//! as-projective-as-possible warps.
 
 mod apap;
 mod beside;
@@ -33,10 +34,10 @@ use sources::{Case, Missing, Places};
 pub use sources::CASES;
 pub use speed_list::{SpeedList, SpeedListError};
 
-/// Ticks that a still scene's registration has to settle.
+/// Ticks for the registration of a still scene to settle.
 const SETTLE: usize = 5;
 const PEER: &str = "OpenCV SIFT, full graph cut";
-/// What figures of the reference method end with.
+/// Suffix of the reference method's figures.
 const REFERENCE: &str = "apap";
 
 /// Options of [`judge`].
@@ -44,13 +45,14 @@ const REFERENCE: &str = "apap";
 pub struct Options {
     /// Graph with a composite of two or more views.
     pub graph: PathBuf,
-    /// Names of [`CASES`]; the graph's own pictures (`own`) if empty.
+    /// Names of [`CASES`]; default: the graph's own images (`own`).
     pub cases: Vec<String>,
-    /// Folders of data sets, searched before the usual ones.
+    /// Folders of data sets, searched before the default ones.
     pub data: Vec<PathBuf>,
-    /// Picture file (PNG) for alignment and similarity over time.
+    /// Image file (PNG) for a plot of alignment and similarity over time.
     pub plot: Option<PathBuf>,
-    /// Base of the names of CSV files with a row per tick, one file per judge: `FILE` becomes `FILE-composite.csv`.
+    /// Base of the names of CSV files with a row per tick, one file per evaluating node: `FILE` becomes
+    /// `FILE-composite.csv`.
     pub rows: Option<PathBuf>,
     /// Ticks of each run.
     pub frames: u64,
@@ -58,25 +60,26 @@ pub struct Options {
     pub settings: Vec<String>,
     /// Overlays of the graphs, and values of their arguments.
     pub given: GraphOptions,
-    /// Runs OpenCV's conventional pipeline and as-projective-as-possible warps on the same pictures.
+    /// Runs OpenCV's conventional pipeline and as-projective-as-possible warps on the same images.
     pub with_peer: bool,
-    /// Leaves out the runs with views that hold still and with incidents.
+    /// Skips the runs with still views and with incidents.
     pub is_brief: bool,
     /// Folder for the last panorama of each case: the graph's and each peer's, one above the other.
     pub pictures: Option<PathBuf>,
 }
 
-/// Measures of one pair of views in all runs of a case; NaN where there is no truth.
+/// Measures of one pair of views in all runs of a case; NaN without ground truth.
 #[derive(Clone, Debug)]
 struct Marks {
     registration: Registration,
-    /// Motion of the map between views that hold still, RMS.
+    /// Motion of the map between still views, RMS px.
     jitter_px: f64,
     /// Name of the incident and the recovery from it.
     recovery: Vec<(&'static str, incidents::Recovery)>,
 }
 
-/// All runs of a case: as it is, with views that hold still, with everything that can go wrong. The same of OpenCV's when `is_peer`.
+/// Evaluates all runs of a case: unchanged, with still views, and with each incident; with OpenCV's pipeline instead if
+/// `is_peer`.
 fn judge_all(
     session: &dyn Session,
     case: &Case,
@@ -125,7 +128,7 @@ fn judge_all(
     Ok(Some((all, main)))
 }
 
-/// As-projective-as-possible warps on the pictures of a case.
+/// Evaluates as-projective-as-possible warps on the images of a case.
 fn reference_of(session: &dyn Session, case: &Case, options: &Options) -> Result<Option<reference::Reference>> {
     let Options { graph: path, frames, is_brief, .. } = options;
     let still = (!is_brief && !case.still.is_empty()).then(|| {
@@ -146,7 +149,7 @@ fn csv(rows: &Table) -> String {
     text
 }
 
-/// Name, unit, value and whether more is better.
+/// Name, unit and value of each measure, and whether larger is better.
 fn listed(marks: &Marks) -> Vec<(String, &'static str, f64, bool)> {
     let m = &marks.registration;
     let named = [
@@ -200,7 +203,7 @@ fn figures(session: &dyn Session, case: &str, marks: &Marks, peer: Option<&Marks
     out
 }
 
-/// Alignment and similarity along the seam over time, ours beside the peer's.
+/// Alignment and similarity along the seam over time, ours and the peer's.
 fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Chart> {
     let of = |rows: &Table, column: &str| -> Vec<(f64, f64)> {
         rows.column(column).unwrap_or_default().into_iter().enumerate().map(|(tick, v)| (tick as f64, v)).collect()
@@ -248,12 +251,12 @@ fn stages(session: &dyn Session, run: &JudgedRun) {
     session.table(&table(&rows));
 }
 
-/// Judges registration and panorama of a graph on each wanted kind of pictures.
+/// Evaluates registration and panorama of a graph on each requested case.
 ///
 /// Returns no figures if every case was skipped; the session receives the reasons.
 ///
 /// # Errors
-/// The graph has mistakes or nothing to judge, a run fails, or a file cannot be written.
+/// The graph has mistakes or nothing to evaluate, a run fails, or a file cannot be written.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let folders = sources::data_folders(&options.data);
     let work = Folder::new("panoscope-eval")?;

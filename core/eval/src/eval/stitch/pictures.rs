@@ -13,7 +13,7 @@ use crate::registration::JudgedRun;
 /// Height of the line above each panorama, px.
 const TITLE_PX: usize = 22;
 
-/// A picture of its own.
+/// An image with its pixels.
 pub(super) struct Picture {
     pub width: usize,
     pub height: usize,
@@ -32,13 +32,13 @@ fn of_frame(frame: &FrameRef) -> Option<Picture> {
     Some(Picture { width, height, bgr })
 }
 
-/// The last panorama of each composite of a run, titled.
+/// The last panorama of each composite of a run, with titles.
 pub(super) fn panels(run: &JudgedRun, title: &str) -> Vec<(String, Picture)> {
     let pictures = run.panoramas.iter().flatten().filter_map(of_frame);
     pictures.map(|picture| (title.to_owned(), picture)).collect()
 }
 
-/// Writes the pictures one above the other, as `NAME.png` in a folder that is made if need be.
+/// Writes the images one above the other as `NAME.png` into a folder, which is created if needed.
 ///
 /// # Errors
 /// The folder or the file cannot be written.

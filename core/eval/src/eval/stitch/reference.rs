@@ -1,4 +1,4 @@
-//! The reference method of [`apap`](super::apap) on the pictures of a case, judged as a composite is.
+//! The reference method of [`apap`](super::apap) on the images of a case, evaluated like a composite.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -28,19 +28,19 @@ use crate::run::{self, Pace, Plan, Watchers};
 use crate::session::{Session, check_cancelled};
 use crate::statistics::{finite, mean, rms};
 
-/// Every so many ticks are judged: as often as a judge compares pictures.
+/// One of this many ticks is evaluated, as often as the evaluating node compares images.
 const EVERY: u64 = 3;
 /// Half the width of the band along the seam that is compared, px.
 const BAND_PX: usize = 16;
 /// Spacing of the true correspondences, px.
 const STEP_PX: usize = 8;
-/// Number of the further view in what a compositor says is shown.
+/// Number of the further view in a compositor's map of shown views.
 const VIEW: u8 = 2;
 
-/// Packets of one tick, by the input of a judge that they would go to.
+/// Packets of one tick, by the input of the evaluating node that they are for.
 type Packets = HashMap<&'static str, FrameRef>;
 
-/// One warp and the panorama drawn by it.
+/// One warp and its panorama.
 struct Stitched {
     placed: Placement,
     left_from_right: Homography,
@@ -50,7 +50,7 @@ struct Stitched {
     shown: Vec<u8>,
 }
 
-/// Measures of one tick; NaN where there is no truth.
+/// Measures of one tick; NaN without ground truth.
 #[derive(Clone, Copy, Debug)]
 struct Row {
     align_px: f64,
@@ -66,7 +66,7 @@ struct Row {
     motion_px: f64,
 }
 
-/// A picture or map as its packet holds it.
+/// View of an image or map in its packet.
 fn view(frame: &FrameRef, channels: usize) -> Option<View<'_, u8>> {
     let (described, bytes) = (frame.frame(), frame.bytes());
     let (width, height, stride) =
@@ -75,7 +75,7 @@ fn view(frame: &FrameRef, channels: usize) -> Option<View<'_, u8>> {
     fits.then_some(View { data: bytes, width, height, channels, stride })
 }
 
-/// Registers by the matches of our SURF and draws with our seam and blending: only the warp differs.
+/// Registers with the matches of our SURF and draws with our seam and blending, so that only the warp differs.
 fn stitch(surf: &mut RegisterSurf, left: View<'_, u8>, right: View<'_, u8>) -> Result<Option<Stitched>> {
     surf.reset();
     surf.register(left, right, &Serial);
@@ -177,7 +177,8 @@ fn judge_tick(
     })
 }
 
-/// Root mean square distance of a placement from a plane over the points of the right view that the plane brings into the left one.
+/// Root mean square distance of a placement from a plane over the points of the right view that the plane maps into the
+/// left one.
 fn from_plane(placed: &Placement, truth: &Homography, [left, right]: [View<'_, u8>; 2]) -> f64 {
     let at = (0..right.height).step_by(STEP_PX).flat_map(|y| (0..right.width).step_by(STEP_PX).map(move |x| (x, y)));
     let errors = at.filter_map(|(x, y)| {
@@ -189,7 +190,7 @@ fn from_plane(placed: &Placement, truth: &Homography, [left, right]: [View<'_, u
     rms(&errors.collect::<Vec<_>>())
 }
 
-/// The packets of every [`EVERY`]th tick of these ports.
+/// Collects the packets of these ports, one of [`EVERY`] ticks.
 fn collect(
     session: &dyn Session,
     pictures: &Wiring,
@@ -220,7 +221,7 @@ fn collect(
     Ok(std::mem::take(&mut *kept))
 }
 
-/// A row for each judged tick, `None` where there is no warp, and the last panorama.
+/// A row for each evaluated tick, `None` if there is no warp, and the last panorama.
 type Rows = (Vec<Option<Row>>, Option<Picture>);
 
 fn rows(session: &dyn Session, wiring: &Wiring, path: &Path, frames: u64) -> Result<Option<Rows>> {
@@ -243,15 +244,16 @@ fn rows(session: &dyn Session, wiring: &Wiring, path: &Path, frames: u64) -> Res
     Ok(Some((rows, picture)))
 }
 
-/// What the reference comes to.
+/// Result of the reference method.
 pub(super) struct Reference {
-    /// Its measures.
+    /// Its measures in all runs.
     pub marks: Marks,
     /// The last panorama.
     pub picture: Option<Picture>,
 }
 
-/// Measures of the reference on the pictures of a graph; `None` for more than two views. `still`: the same with views that hold still.
+/// Evaluates the reference method on the images of a graph; `None` for more than two views. `still`: settings for still
+/// views.
 pub(super) fn judge(
     session: &dyn Session,
     wiring: &Wiring,

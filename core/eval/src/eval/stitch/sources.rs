@@ -1,4 +1,4 @@
-//! Pictures on which a graph is judged instead of its own.
+//! Images on which a graph is evaluated instead of its own.
 
 use std::path::{Path, PathBuf};
 
@@ -13,34 +13,34 @@ pub const CASES: [&str; 4] = ["own", "cut", "hamlyn", "leuven"];
 
 /// Operation whose frames are cut.
 const OPERATION: &str = "v05_*.jpg";
-/// Columns and rows of the Hamlyn pairs.
+/// Width and height of the Hamlyn pairs.
 const HAMLYN: (u32, u32) = (640, 480);
 
 /// A case that can be run.
 pub struct Case {
-    /// Its name in figures; empty for the graph's own source.
+    /// Name in figures; empty for the graph's own source.
     pub name: &'static str,
-    /// The graph on its pictures.
+    /// The graph with the case's source.
     pub wiring: Wiring,
-    /// What was judged, in words.
+    /// Description of the input.
     pub input: String,
-    /// A parameter that lets the views hold still against each other: node, name, value.
+    /// Parameters that stop the motion between the views: node, name, value.
     pub still: Vec<(String, &'static str, Value)>,
 }
 
-/// What gives the pictures.
+/// A source of images.
 #[derive(Clone, Debug)]
 pub struct Source {
-    /// The node.
+    /// The source node.
     pub node: Table,
-    /// Plugins that it needs.
+    /// Plugin that it needs.
     pub plugin: &'static str,
-    /// Whether it gives true disparities; otherwise correspondences are found by correlation.
+    /// Whether it gives true disparities; otherwise correlation finds correspondences.
     pub has_truth: bool,
 }
 
 impl Source {
-    /// The phantom with these parameters; later ones win.
+    /// A phantom with these parameters; later ones override earlier ones.
     pub fn phantom<'a>(params: impl IntoIterator<Item = (&'a str, Value)>) -> Self {
         let params: Table = params.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
         let mut node = Table::new();
@@ -50,7 +50,7 @@ impl Source {
     }
 }
 
-/// Folders in which data sets are searched: the given ones, then the usual ones.
+/// Folders in which data sets are searched: the given ones, then the default ones.
 pub fn data_folders(given: &[PathBuf]) -> Vec<PathBuf> {
     let usual = ["../shared/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
     given.iter().cloned().chain(usual.map(PathBuf::from)).collect()
@@ -73,7 +73,7 @@ fn text(path: &Path) -> Value {
     path.to_string_lossy().into_owned().into()
 }
 
-/// Plays the Hamlyn pairs of a folder; their calibration is put into `work`.
+/// A source of the Hamlyn pairs of a folder; their calibration is written into `work`.
 pub fn hamlyn(folder: &Path, work: &Path) -> Result<Source> {
     let file = work.join("hamlyn.yml");
     panoscope_data::calibration::write(&file, &level::calibration(HAMLYN))?;
@@ -86,23 +86,23 @@ pub fn hamlyn(folder: &Path, work: &Path) -> Result<Source> {
     Ok(Source { node: node("capture", &[], &params), plugin: "capture", has_truth: false })
 }
 
-/// Where pictures are sought, and where files that only this run needs are put.
+/// Folders of the images and of temporary files.
 pub struct Places<'a> {
     /// Folders of data sets.
     pub folders: &'a [PathBuf],
-    /// A folder that is removed at the end.
+    /// A temporary folder.
     pub work: &'a Path,
 }
 
-/// Why a case is skipped.
+/// A case that is skipped.
 pub enum Missing {
-    /// The pictures are not there.
+    /// The images are missing.
     Pictures(&'static str),
-    /// The graph reads what these pictures do not have.
+    /// The graph reads an output that this source does not have.
     Port(String),
 }
 
-/// The graph on the pictures of a case.
+/// Replaces the graph's source by that of a case.
 pub fn case(name: &'static str, graph: &Wiring, places: &Places<'_>) -> Result<Result<Case, Missing>> {
     let wired = |made: Result<Wiring>| made.map_err(|error| Missing::Port(error.to_string()));
     match name {

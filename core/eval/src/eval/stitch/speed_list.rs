@@ -1,19 +1,19 @@
-//! Lists of camera speeds as the command line takes them.
+//! Lists of camera speeds on the command line.
 
 use crate::error::Result;
 
-/// Fastest camera that the phantom plays, cm/s.
+/// Maximum speed of the phantom's camera, cm/s.
 pub const MAX_CM_S: f64 = 20.0;
-/// Steps of a range are as round as possible and no more than this.
+/// Maximum number of steps of a range.
 const MAX_STEPS: f64 = 10.0;
-/// Speeds of one list.
+/// Maximum number of speeds in a list.
 const MAX_SPEEDS: usize = 100;
 
 /// Speeds of a sweep, cm/s, ascending.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpeedList(pub Vec<f64>);
 
-/// Why a text is no list of speeds.
+/// Errors of a list of speeds.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SpeedListError {
     /// A part is not a number.
@@ -22,33 +22,33 @@ pub enum SpeedListError {
         /// The part.
         text: String,
     },
-    /// A speed or a step that the phantom's camera cannot have.
-    #[error("{speed_cm_s} cm/s is outside 0 to {MAX_CM_S}, which is what the phantom's camera can do")]
+    /// A speed or step outside of the range of the phantom's camera.
+    #[error("{speed_cm_s} cm/s is outside 0 to {MAX_CM_S}, the range of the phantom's camera")]
     OutOfRange {
-        /// The speed.
+        /// The speed, cm/s.
         speed_cm_s: f64,
     },
     /// The first end of a range is not below the second.
-    #[error("the range `{range}` does not ascend; the slower speed stands first")]
+    #[error("the range `{range}` does not ascend; put the lower speed first")]
     NotAscending {
         /// The range.
         range: String,
     },
-    /// A range has too many speeds.
+    /// The step of a range is so small that it has too many speeds.
     #[error("the range `{range}` has more than {MAX_SPEEDS} speeds; give a larger step")]
     StepTooSmall {
         /// The range.
         range: String,
     },
     /// The list has too many speeds.
-    #[error("{count} speeds are given, {MAX_SPEEDS} are the most")]
+    #[error("{count} speeds exceed the limit of {MAX_SPEEDS}")]
     TooMany {
-        /// Speeds given.
+        /// Number of speeds.
         count: usize,
     },
 }
 
-/// A speed in words.
+/// Parses a speed, cm/s.
 fn speed(text: &str) -> Result<f64, SpeedListError> {
     let text = text.trim();
     let speed_cm_s: f64 = text.parse().map_err(|_| SpeedListError::NoNumber { text: text.to_owned() })?;
@@ -62,7 +62,7 @@ fn round_step(range: f64) -> f64 {
     [1.0, 2.0, 5.0, 10.0].map(|m| m * magnitude).into_iter().find(fits).unwrap_or(magnitude)
 }
 
-/// Both ends and the multiples of a step between them.
+/// The speeds of a range: both ends and the multiples of a step between them.
 fn range(text: &str, from: &str, rest: &str) -> Result<Vec<f64>, SpeedListError> {
     let (to, step) = match rest.split_once(':') {
         Some((to, step)) => (to, Some(speed(step)?)),

@@ -1,8 +1,8 @@
-//! How fast the cameras may move (thesis, section 2.4.3): share of stitched frames and alignment over the speed.
+//! Maximum camera speed (thesis, section 2.4.3): share of stitched frames and alignment over the speed.
 //!
-//! The phantom's camera glides along the tissue at a steady speed while its shutter is open for half of the frame time, as a camera
-//! without enough light has it: a picture is drawn out by `speed x shutter x focal length / distance`, 25 px at 10 cm/s. All methods get
-//! the same frames.
+//! The phantom's camera glides along the tissue at a constant speed. Its shutter is open for half of the frame time, as
+//! with too little light, so motion blur is `speed x shutter x focal length / distance`, 25 px at 10 cm/s. All methods
+//! get the same frames.
 
 use std::path::PathBuf;
 
@@ -20,21 +20,22 @@ use crate::plot::{self, Chart, Series, Style};
 use crate::session::{Session, note};
 use crate::statistics::rms;
 
-/// Methods that are swept when no graph is given.
+/// Methods swept by default.
 const METHODS: [&str; 5] = ["conventional", "ROI", "grid", "chapter 2", "chapter 4"];
-/// Scene and seed: each speed has a part of its frames over each, because a slow camera sees little of any one tissue.
+/// Scene and seed: the frames of each speed are divided among them, because a slow camera sees little of any one
+/// tissue.
 const PLACES: [(&str, i64); 4] = [("bowel", 7), ("liver", 7), ("bowel", 12), ("liver", 12)];
 const RATE_HZ: f64 = 30.0;
-/// Share of the frame time that the shutter is open.
+/// Exposure as a share of the frame time.
 const SHUTTER: f64 = 0.5;
-/// Pixels of the phantom's picture per mm of tissue.
+/// Pixels of the phantom's image per mm of tissue.
 const PX_PER_MM: f64 = 750.0 / 50.0;
-/// Sub-frames of one picture lie this far apart at most.
+/// Maximum motion between sub-frames of an image.
 const BLUR_STEP_PX: f64 = 2.5;
-/// A speed is followed when this share of the frames is stitched.
+/// A speed counts as followed if at least this share of the frames is stitched.
 const FOLLOWED_PCT: f64 = 95.0;
 
-/// Length by which a picture is drawn out, px.
+/// Length of the motion blur, px.
 fn blur_px(speed_cm_s: f64) -> f64 {
     speed_cm_s * 10.0 / RATE_HZ * SHUTTER * PX_PER_MM
 }
@@ -57,7 +58,7 @@ fn source((scene, seed): (&str, i64), speed_cm_s: f64, settings: &[String]) -> S
 struct Point {
     speed_cm_s: f64,
     tallies: Vec<StitchScore>,
-    /// What the best plane leaves, px.
+    /// Alignment error of the best plane, px.
     floor_px: f64,
 }
 
@@ -82,13 +83,14 @@ fn point(
     Ok(Point { speed_cm_s, tallies, floor_px: rms(&all) })
 }
 
-/// The fastest speed up to which a method follows at each speed of the sweep; none when it does not follow the slowest.
+/// The highest speed such that a method follows it and all lower speeds of the sweep; `None` if it does not follow the
+/// lowest.
 fn followed_cm_s(points: &[Point], method: usize) -> Option<f64> {
     let follows = |point: &&Point| point.tallies[method].stitched_pct() >= FOLLOWED_PCT;
     points.iter().take_while(follows).last().map(|point| point.speed_cm_s)
 }
 
-/// What a tally comes to.
+/// Value of a measure in a score.
 type Measure = fn(&StitchScore) -> f64;
 
 fn tables(methods: &[Method], points: &[Point]) -> String {
@@ -151,9 +153,9 @@ fn charts(methods: &[Method], points: &[Point]) -> Vec<Chart> {
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Graph files; the five built-in graphs if empty.
+    /// Graph files; default: the five built-in graphs.
     pub graphs: Vec<PathBuf>,
-    /// Speeds of the cameras.
+    /// Camera speeds.
     pub speeds: SpeedList,
     /// Ticks per speed and tissue.
     pub frames: u64,
@@ -161,14 +163,14 @@ pub struct Options {
     pub settings: Vec<String>,
     /// Overlays of the graphs, and values of their arguments.
     pub given: GraphOptions,
-    /// Picture file (PNG) for both measures over the speed.
+    /// Image file (PNG) for a plot of both measures over the speed.
     pub plot: Option<PathBuf>,
 }
 
 /// Share of stitched frames and alignment of each graph at each camera speed.
 ///
 /// # Errors
-/// A graph or a setting cannot be used, a run fails, or the picture cannot be written.
+/// A graph or a setting cannot be used, a run fails, or the plot cannot be written.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let methods = beside::methods(&options.graphs, &METHODS, &options.given, &options.settings)?;
     let mut points = Vec::new();

@@ -1,13 +1,13 @@
-//! Which frames count as stitched, and what a run of them comes to.
+//! Counts the stitched frames of a run.
 
 use super::incidents::WRONG;
 use crate::error::{EvalError, Result};
 use crate::packets::Table;
 
-/// A registration of its own.
+/// Code of a fresh registration.
 const FRESH: f64 = 0.0;
 
-/// The rule by which a frame counts as stitched, for readers of tables.
+/// The rule by which a frame counts as stitched, as a note below tables.
 pub fn rule() -> String {
     let (times, more_px) = WRONG;
     format!(
@@ -16,23 +16,24 @@ pub fn rule() -> String {
     )
 }
 
-/// One run of one method.
+/// Score of a method in one run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StitchScore {
-    /// Frames that were judged.
+    /// Evaluated frames.
     pub frames: usize,
-    /// Of them, those that count as stitched.
+    /// Frames that count as stitched.
     pub stitched: usize,
-    /// Those whose registration was accepted and is wrong.
+    /// Frames with an accepted registration that is wrong.
     pub wrong: usize,
-    /// Sum of squares of the alignment error of the stitched frames, px squared, and how many they are.
+    /// Sum of squares of the alignment error of the stitched frames, px^2, and their number.
     pub squares: (f64, usize),
 }
 
 impl StitchScore {
-    /// Reads a judge's table; frames from `settle` on count.
+    /// Reads the table of an evaluating node; frames from `settle` on count.
     ///
-    /// `floors_px`: alignment error of the best plane in each tick; NaN where it is unknown, and such a tick is not judged.
+    /// `floors_px`: alignment error of the best plane in each tick; NaN where it is unknown, and such a tick is not
+    /// evaluated.
     pub fn of(rows: &Table, floors_px: &[f64], settle: usize) -> Result<Self> {
         let column = |name: &str| {
             rows.column(name).ok_or_else(|| EvalError::Column { table: "the table", column: name.to_owned() })
@@ -60,7 +61,7 @@ impl StitchScore {
         Ok(tally)
     }
 
-    /// Both runs together.
+    /// Score of both runs together.
     pub fn and(&self, other: &Self) -> Self {
         Self {
             frames: self.frames + other.frames,
@@ -84,13 +85,13 @@ impl StitchScore {
         self.pct(self.wrong)
     }
 
-    /// Root mean square alignment error of the stitched frames, px; NaN without any.
+    /// Root mean square alignment error of the stitched frames, px; NaN if there are none.
     pub fn align_px(&self) -> f64 {
         if self.squares.1 == 0 { f64::NAN } else { (self.squares.0 / self.squares.1 as f64).sqrt() }
     }
 }
 
-/// What the best plane leaves in each tick: the first that any judge of the same pictures knows.
+/// Alignment error of the best plane in each tick, from the first evaluating node of the same images that has it.
 pub fn floors(tables: &[&Table]) -> Vec<f64> {
     let columns: Vec<Vec<f64>> = tables.iter().filter_map(|rows| rows.column("floor_px")).collect();
     let ticks = columns.iter().map(Vec::len).max().unwrap_or(0);

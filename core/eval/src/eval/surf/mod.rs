@@ -1,9 +1,9 @@
-//! Repeatability and matching precision of SURF beside OpenCV's SIFT and AKAZE.
+//! Repeatability and matching precision of SURF compared with OpenCV's SIFT and AKAZE.
 //!
-//! The pictures are graf1 and graf3 of the Oxford affine data set as Debian's opencv-doc brings them, with their true
-//! homography. Every engine runs as a node of a graph, and each comparison gives both the same number of points.
-//! SURF is judged with 64 elements and extended to 128, on the same points.
-//! Precision is given twice: of all matches, and of those where the photographs themselves bear the homography out ([`plane`]).
+//! The images are graf1 and graf3 of the Oxford affine data set from Debian's opencv-doc, with their true homography.
+//! Every engine runs as a node of a graph, and each comparison gives both the same number of points. SURF is evaluated
+//! with 64 elements and extended to 128, on the same points. Precision is given twice: of all matches, and of those in
+//! areas where the photographs confirm the homography ([`plane`]).
 
 mod plane;
 
@@ -21,7 +21,7 @@ use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
 
-/// Where Debian and others put OpenCV's sample data.
+/// Folders of OpenCV's sample data in Debian and other systems.
 const FOLDERS: [&str; 4] = [
     "/usr/share/doc/opencv-doc/examples/data",
     "/usr/share/doc/opencv-doc/examples/cpp/data",
@@ -31,23 +31,23 @@ const FOLDERS: [&str; 4] = [
 const REPEATABILITY_PX: f64 = 1.5;
 const PRECISION_PX: f64 = 3.0;
 const RATIO: f64 = 0.8;
-/// So low that the number of points, not the threshold, decides.
+/// Low, so that the number of points limits the selection, not the threshold.
 const SURF_THRESHOLD: f64 = 1.0;
 const AKAZE_THRESHOLD: f64 = 1e-5;
-/// So many points are more than a picture of half a million pixels holds of distinct ones at its own size: SURF looks at it
-/// doubled then, with a wider window to distinguish the small ones.
+/// More points than an image of half a million pixels has distinct ones: from here on SURF doubles the image and uses a
+/// wider window to distinguish small features.
 const MANY_POINTS: usize = 1500;
 
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Folder with graf1.png, graf3.png and H1to3p.xml, when Debian's opencv-doc is not installed.
+    /// Folder with graf1.png, graf3.png and H1to3p.xml, needed if Debian's opencv-doc is not installed.
     pub data: Option<PathBuf>,
-    /// Sets a parameter of `features_surf`, to see what it does.
+    /// Parameters of `features_surf`, as `PARAM=VALUE`.
     pub settings: Vec<String>,
 }
 
-/// The pictures and the truth.
+/// Images and ground truth.
 struct Data {
     first: PathBuf,
     second: PathBuf,
@@ -73,16 +73,16 @@ fn read_truth(xml: &str) -> Option<Homography> {
     Some(Homography(numbers.try_into().ok()?))
 }
 
-/// What an engine found.
+/// Matches of one detector.
 struct Outcome {
     points: (usize, usize),
     matches: usize,
     repeatability: f64,
     precision: f64,
     correct: usize,
-    /// Whether each match is right, the most distinct (least ratio) first.
+    /// Whether each match is correct, the most distinct (smallest ratio) first.
     right: Vec<bool>,
-    /// The same, of matches that start where the homography holds.
+    /// As `right`, for matches that start in areas where the homography holds.
     right_on_plane: Vec<bool>,
 }
 
@@ -118,8 +118,8 @@ fn measure(session: &dyn Session, data: &Data, plane: &Plane, node: &str) -> Res
     let plan =
         Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, pace: Pace::Free };
     let seen = run::run(session, &plan)?;
-    let packet = |index: usize| seen.packets[index].as_ref().context("a port stayed empty");
-    let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table could not be read");
+    let packet = |index: usize| seen.packets[index].as_ref().context("an output is empty");
+    let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table is malformed");
     let points = |table: Table| -> Vec<[f64; 2]> { table.rows.iter().map(|row| [row[0], row[1]]).collect() };
     let (first, second) = (points(read(0)?), points(read(1)?));
     let mut rows = read(2)?.rows;
@@ -158,10 +158,10 @@ fn peer(detector: &str, points: usize) -> String {
     )
 }
 
-/// Repeatability and precision of SURF at four numbers of points, beside each of OpenCV's detectors.
+/// Measures repeatability and precision of SURF at four numbers of points, compared with each of OpenCV's detectors.
 ///
 /// # Errors
-/// The pictures are not there, a run fails, no keypoint was found, or the session is cancelled.
+/// The images are missing, a run fails, no keypoint was found, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let Some(data) = find(options.data.as_deref()) else {
         let given = options.data.as_ref().map_or_else(String::new, |folder| format!(" in {} or", folder.display()));

@@ -1,28 +1,28 @@
-//! Where a true homography holds: photographs of a flat wall also show things that stand before or behind it.
+//! Areas where a true homography holds: photographs of a flat wall also show things in front of or behind it.
 //!
-//! The lowest fifth of the Graffiti pictures, for one, lies 3 to 8 px off the homography published with them, so that right
-//! matches there count as wrong ones. Which places those are is found without any keypoint: patches of the first picture are sought
-//! in the second around the place that the homography gives, by normalised cross-correlation.
+//! For example, the lowest fifth of the Graffiti images is 3 to 8 px off the published homography, so correct matches
+//! there count as wrong. These areas are found without keypoints: normalised cross-correlation searches patches of the
+//! first image in the second, around the position that the homography gives.
 
 use panoscope_imaging::View;
 use panoscope_imaging::geometry::{Homography, Point};
 
-/// Side of a cell that is judged as a whole, in pixels of the first picture.
+/// Side of a cell that is classified as a whole, in pixels of the first image.
 const CELL_PX: usize = 16;
 /// Half the side of the patch around a cell's centre.
 const HALF_PATCH_PX: usize = 20;
-/// How far around the given place a patch is sought, in pixels of the second picture.
+/// Search radius around the position that the homography gives, in pixels of the second image.
 const REACH_PX: i32 = 10;
-/// A patch found further off than this contradicts the homography.
+/// A patch found further away than this contradicts the homography, px.
 const OFF_PX: i32 = 2;
-/// Correlation from which on a patch counts as found.
+/// Minimum correlation at which a patch counts as found.
 const FOUND: f32 = 0.8;
-/// A place must be this much better than the one the homography gives to contradict it.
+/// Minimum lead in correlation over the homography's position for a position that contradicts it.
 const LEAD: f32 = 0.05;
 /// Cells to each side that vote on a cell.
 const VOTERS: usize = 2;
 
-/// Which cells of the first picture follow the homography.
+/// Cells of the first image that follow the homography.
 pub struct Plane {
     columns: usize,
     rows: usize,
@@ -30,7 +30,8 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Judges every cell of `first` (gray) against `second` (gray); cells that show nothing to compare go with their neighbours.
+    /// Classifies every cell of `first` (gray) by `second` (gray); cells without texture take the class of their
+    /// neighbours.
     pub fn find(first: View<'_, u8>, second: View<'_, u8>, second_from_first: &Homography) -> Self {
         let (columns, rows) = (first.width.div_ceil(CELL_PX), first.height.div_ceil(CELL_PX));
         let votes: Vec<i32> = (0..columns * rows)
@@ -47,7 +48,7 @@ impl Plane {
         Self { columns, rows, flat: flat.collect() }
     }
 
-    /// Whether the homography holds at a point of the first picture.
+    /// Whether the homography holds at a point of the first image.
     pub fn holds(&self, point: Point) -> bool {
         let cell = |value: f64, count: usize| ((value.max(0.0) as usize) / CELL_PX).min(count.saturating_sub(1));
         self.flat.get(cell(point[1], self.rows) * self.columns + cell(point[0], self.columns)).copied().unwrap_or(false)
@@ -59,7 +60,7 @@ impl Plane {
     }
 }
 
-/// 1 where the patch lies where the homography says, -1 where it clearly lies elsewhere, 0 where nothing can be said.
+/// 1 if the patch is at the homography's position, -1 if it is clearly elsewhere, 0 if unknown.
 fn vote(first: View<'_, u8>, second: View<'_, u8>, map: &Homography, x: usize, y: usize) -> i32 {
     let half = HALF_PATCH_PX;
     if x < half || y < half || x + half >= first.width || y + half >= first.height {
@@ -94,7 +95,7 @@ fn vote(first: View<'_, u8>, second: View<'_, u8>, map: &Homography, x: usize, y
     }
 }
 
-/// Normalised cross-correlation of a patch with the second picture at shifted places; 0 on flat ground.
+/// Normalised cross-correlation of a patch with the second image at shifted positions; 0 without texture.
 fn correlation(patch: &[f32], second: View<'_, u8>, targets: &[Point], dx: f64, dy: f64) -> f32 {
     let (mut a, mut b, mut aa, mut bb, mut ab) = (0.0f64, 0.0f64, 0.0f64, 0.0f64, 0.0f64);
     for (&value, target) in patch.iter().zip(targets) {

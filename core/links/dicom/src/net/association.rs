@@ -18,11 +18,11 @@ use crate::lengths::{self, Encoding, LengthError};
 use crate::part10::MAX_ENTRY_BYTES;
 
 const CONNECT_WAIT: Duration = Duration::from_secs(10);
-/// Longest silence of a server. One that stores a long video may take its time.
+/// Maximum silence of a server, which may take long to store a video.
 const ANSWER_WAIT: Duration = Duration::from_secs(60);
-/// Longest wait for the answer to the request for an association, which needs no search.
+/// Maximum wait for the answer to an association request, which needs no search.
 const ASSOCIATE_WAIT: Duration = Duration::from_secs(10);
-/// Longest time for one response, however slowly its bytes come.
+/// Maximum time for one complete response.
 const RESPONSE_WAIT: Duration = Duration::from_secs(120);
 /// Maximum number of bytes of a PDU, both ways.
 const MAX_PDU: u32 = 64 << 10;
@@ -48,15 +48,15 @@ pub struct Association {
     link: ClientAssociation<TcpStream>,
     peer: Peer,
     messages: u16,
-    /// Bytes of a presentation data value that the server takes.
+    /// Maximum number of bytes of a presentation data value that the server accepts.
     chunk: usize,
 }
 
 impl Association {
-    /// Opens it with presentation contexts: SOP classes, each with transfer syntaxes.
+    /// Opens an association with presentation contexts: SOP classes, each with transfer syntaxes.
     ///
     /// # Errors
-    /// Nobody answers, or the server refuses.
+    /// The server does not answer or refuses.
     pub fn open(peer: &Peer, contexts: &[(&str, &[&str])]) -> Result<Self> {
         let (calling, called) = (peer.calling.to_string(), peer.called.to_string());
         let mut options = ClientAssociationOptions::new()
@@ -85,7 +85,7 @@ impl Association {
         Ok(Self { link, peer: peer.clone(), messages: 0, chunk })
     }
 
-    /// The server, for errors.
+    /// Address of the server, for errors.
     pub fn peer(&self) -> String {
         self.peer.address.clone()
     }
@@ -100,7 +100,7 @@ impl Association {
         DicomError::NoService { peer: self.peer(), service: service.to_owned() }
     }
 
-    /// The accepted context of a class in a transfer syntax.
+    /// The accepted context of a class in a transfer syntax; `None` if there is none.
     pub fn context(&self, class: &str, syntax: &str) -> Option<u8> {
         let own = |text: &str| text.trim_end_matches('\0').to_owned();
         let contexts = self.link.presentation_contexts().iter();
@@ -145,7 +145,8 @@ impl Association {
     /// Sends an encoded data set of `bytes` bytes.
     ///
     /// # Errors
-    /// The connection broke, or the data set is shorter: then the association is given up, so that the server keeps no part of it.
+    /// The connection broke, or the data set is shorter; then the association is aborted, so that the server keeps no
+    /// part of it.
     pub fn send_data(&mut self, context: u8, data: &mut dyn Read, bytes: u64) -> Result<()> {
         let mut left = bytes;
         loop {
@@ -168,7 +169,7 @@ impl Association {
     /// Waits for the response to message `id` with this command field.
     ///
     /// # Errors
-    /// The connection broke, the server takes too long, or what came is no such response.
+    /// The connection broke, the server takes too long, or the received message is not that response.
     pub fn receive(&mut self, id: u16, field: u16) -> Result<Response> {
         let until = Instant::now() + RESPONSE_WAIT;
         let (mut command_bytes, mut data) = (Vec::new(), Vec::new());
@@ -181,17 +182,17 @@ impl Association {
             let values = match pdu {
                 Pdu::PData { data } => data,
                 Pdu::AbortRQ { .. } => return Err(self.broken("it aborted the association".to_owned())),
-                other => return Err(self.broken(format!("{} came instead of a response", other.short_description()))),
+                other => return Err(self.broken(format!("got {} instead of a response", other.short_description()))),
             };
             for value in values {
                 let is_command = value.value_type == PDataValueType::Command;
                 if is_command == command.is_some() {
-                    return Err(self.broken("a response whose parts are in the wrong order".to_owned()));
+                    return Err(self.broken("the parts of a response are in the wrong order".to_owned()));
                 }
                 let (part, limit) =
                     if is_command { (&mut command_bytes, MAX_COMMAND_BYTES) } else { (&mut data, MAX_ENTRY_BYTES) };
                 if part.len() + value.data.len() > limit {
-                    return Err(self.broken(format!("a response of more than {limit} bytes")));
+                    return Err(self.broken(format!("a response has more than {limit} bytes")));
                 }
                 part.extend_from_slice(&value.data);
                 if !value.is_last {
@@ -202,7 +203,7 @@ impl Association {
                     if read_number(&parsed, tags::COMMAND_FIELD) != Some(field)
                         || read_number(&parsed, tags::MESSAGE_ID_BEING_RESPONDED_TO) != Some(id)
                     {
-                        return Err(self.broken("a response to another request came".to_owned()));
+                        return Err(self.broken("got a response to another request".to_owned()));
                     }
                     if read_number(&parsed, tags::COMMAND_DATA_SET_TYPE) == Some(NO_DATA) {
                         return Ok(Response { command: parsed, data });
@@ -222,7 +223,7 @@ impl Association {
         }
     }
 
-    /// Ends it; a server that does not confirm is left.
+    /// Releases the association; does not wait long for a confirmation.
     pub fn release(self) {
         let _ = self.link.release();
     }
@@ -233,10 +234,10 @@ impl Association {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum CommandError {
     /// A length inside it is wrong.
-    #[error("a command set that cannot be read: {0}")]
+    #[error("the command set cannot be read: {0}")]
     Length(#[from] LengthError),
     /// It cannot be decoded.
-    #[error("a command set that cannot be read: {reason}")]
+    #[error("the command set cannot be read: {reason}")]
     Decode { reason: String },
 }
 
@@ -247,7 +248,7 @@ pub fn parse_command(bytes: &[u8]) -> Result<Set, CommandError> {
     read.map_err(|error| CommandError::Decode { reason: chain(&error) })
 }
 
-/// Whether an error is the end of a wait.
+/// Whether an error is a timeout.
 fn is_timeout(error: &UlError) -> bool {
     let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(error);
     while let Some(error) = cause {

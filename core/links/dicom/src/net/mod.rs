@@ -1,7 +1,7 @@
-//! A PACS or worklist server, asked over the network: C-ECHO, C-FIND, C-STORE (PS3.7, PS3.8).
+//! A PACS or worklist server, queried over the network: C-ECHO, C-FIND, C-STORE (PS3.7, PS3.8).
 //!
-//! The connection is not encrypted, as is usual between the devices of one department; a hospital that needs more puts a TLS tunnel in
-//! between. Panoscope only calls: it listens on no DICOM port.
+//! The connection is not encrypted, as is usual between the devices of one department; a hospital that needs more puts
+//! a TLS tunnel in between. Panoscope is only a client and listens on no DICOM port.
 
 mod association;
 
@@ -20,28 +20,28 @@ use crate::lengths::Encoding;
 use crate::part10::{EXPLICIT, Head, IMPLICIT};
 use association::Association;
 
-/// Verification.
+/// SOP class UID of Verification.
 const VERIFICATION: &str = "1.2.840.10008.1.1";
-/// Modality Worklist Information Model, FIND.
+/// SOP class UID of the Modality Worklist Information Model, FIND.
 const WORKLIST: &str = "1.2.840.10008.5.1.4.31";
 /// Maximum number of entries of a worklist.
 const MAX_ENTRIES: usize = 1000;
-/// Presentation contexts that one association has, besides that of the echo.
+/// Maximum number of presentation contexts of one association, without that of the echo.
 const MAX_CONTEXTS: usize = 100;
-/// Command fields.
+/// Command field of C-STORE.
 const C_STORE: u16 = 0x0001;
 const C_FIND: u16 = 0x0020;
 const C_ECHO: u16 = 0x0030;
-/// Set in the command field of responses.
+/// Bit in the command field of responses.
 const RESPONSE: u16 = 0x8000;
 
 /// An application entity title: 1 to 16 characters.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AeTitle(String);
 
-/// A text that is no application entity title.
+/// A text that is not an application entity title.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no application entity title: 1 to 16 characters of ASCII without `\\`, not spaces alone")]
+#[error("`{text}` is not an application entity title: 1 to 16 characters of ASCII without `\\`, not spaces alone")]
 pub struct AeTitleError {
     /// The text.
     pub text: String,
@@ -64,20 +64,21 @@ impl fmt::Display for AeTitle {
     }
 }
 
-/// A server, and who asks.
+/// Address and titles for a connection to a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Peer {
     /// `HOST:PORT`.
     pub address: String,
     /// Title of the server.
     pub called: AeTitle,
-    /// Own title.
+    /// Title of this client.
     pub calling: AeTitle,
 }
 
-/// Asks a server whether it answers.
+/// Checks that a server answers (C-ECHO).
 ///
 /// # Errors
+///
 /// It does not.
 pub fn echo(peer: &Peer) -> Result<()> {
     let mut association = Association::open(peer, &[(VERIFICATION, &[IMPLICIT])])?;
@@ -102,7 +103,7 @@ fn send_echo(association: &mut Association) -> Result<()> {
 /// Entries without a patient ID or study instance UID are left out and counted.
 ///
 /// # Errors
-/// The server cannot be asked, or its answers are malformed.
+/// The server cannot be reached, or its answers are malformed.
 pub fn worklist(peer: &Peer, query: &Query) -> Result<(Vec<Entry>, Vec<DicomError>)> {
     let mut association = Association::open(peer, &[(WORKLIST, &[EXPLICIT, IMPLICIT])])?;
     let found = [(EXPLICIT, Encoding::Explicit), (IMPLICIT, Encoding::Implicit)]
@@ -142,18 +143,18 @@ pub fn worklist(peer: &Peer, query: &Query) -> Result<(Vec<Entry>, Vec<DicomErro
 
 /// An object in a file, to be stored.
 pub struct Object {
-    /// What its head says.
+    /// Head of the file.
     pub head: Head,
-    /// The file, at its data set.
+    /// The open file, positioned at its data set.
     pub file: File,
     /// Bytes of the data set.
     pub bytes: u64,
 }
 
-/// What a server did with an object.
+/// Result of storing an object.
 pub type Stored = Result<(), DicomError>;
 
-/// Opens an association for objects of these classes and transfer syntaxes, and asks whether the server answers.
+/// Opens an association for objects of these classes and transfer syntaxes, and checks that the server answers.
 ///
 /// # Errors
 /// It does not.
@@ -184,7 +185,7 @@ impl Store {
     /// Stores an object.
     ///
     /// # Errors
-    /// The server did not take it. After [`DicomError::Broken`] the association is of no further use.
+    /// The server did not store it. After [`DicomError::Broken`] the association is unusable.
     pub fn send(&mut self, mut object: Object) -> Stored {
         let Head { class, instance, transfer_syntax, .. } = &object.head;
         let association = &mut self.association;
@@ -205,7 +206,7 @@ impl Store {
             .get(tags::AFFECTED_SOP_INSTANCE_UID)
             .is_none_or(|own| own.to_str().is_ok_and(|own| own.trim_end_matches('\0').trim() == instance));
         if !confirmed {
-            return Err(association.broken("it confirmed another object than the one that was sent".to_owned()));
+            return Err(association.broken("it confirmed another object than the sent one".to_owned()));
         }
         match status(association, &response.command)? {
             // Stored; stored with a warning, such as values that it changed.
@@ -236,7 +237,7 @@ fn command(field: u16, id: u16, class: &str, has_data: bool, more: &[dicom_objec
 }
 
 fn status(association: &Association, command: &Set) -> Result<u16> {
-    read_number(command, tags::STATUS).ok_or_else(|| association.broken("a response without a status".to_owned()))
+    read_number(command, tags::STATUS).ok_or_else(|| association.broken("a response has no status".to_owned()))
 }
 
 fn failed(association: &Association, service: &'static str, status: u16, command: &Set) -> DicomError {
@@ -255,7 +256,7 @@ fn failed(association: &Association, service: &'static str, status: u16, command
     DicomError::Status { peer: association.peer(), service, status, meaning }
 }
 
-/// A name for a SOP class that is made here.
+/// Name of a SOP class that this crate writes.
 fn class_name(class: &str) -> &str {
     match class {
         "1.2.840.10008.5.1.4.1.1.7" => "stills (Secondary Capture)",

@@ -1,4 +1,4 @@
-//! A clip as Video Endoscopic Image (PS3.3, A.32.5): the H.264 of an MP4 file, as it is.
+//! A clip as Video Endoscopic Image (PS3.3, A.32.5): the unchanged H.264 of an MP4 file.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -17,7 +17,7 @@ use crate::error::{DicomError, Result};
 use crate::part10::{Pending, write};
 use crate::time::Moment;
 
-/// Video Endoscopic Image Storage.
+/// SOP class UID of Video Endoscopic Image Storage.
 pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.77.1.1.1";
 /// MPEG-4 AVC/H.264 High Profile / Level 4.1, and Level 4.2 for 2D video (PS3.5, 8.2.7 and 8.2.8).
 const LEVELS: [(u8, &str); 2] = [(41, "1.2.840.10008.1.2.4.102"), (42, "1.2.840.10008.1.2.4.104")];
@@ -25,7 +25,7 @@ const LEVELS: [(u8, &str); 2] = [(41, "1.2.840.10008.1.2.4.102"), (42, "1.2.840.
 const HIGH: u8 = 100;
 /// Number of the series of clips.
 const SERIES: (u32, &str) = (2, "Clips");
-/// Maximum number of bytes of a video: the length of a fragment has 32 bits.
+/// Maximum number of bytes of a video, because the length of a fragment has 32 bits.
 const MAX_BYTES: u64 = u32::MAX as u64 - 16;
 
 /// An MP4 file that fits the standard.
@@ -40,17 +40,18 @@ pub struct Clip {
 }
 
 impl Clip {
-    /// Opens the MP4 form of a clip. `original` is the file that the clip is known by: its name has the number, its time is the clip's.
+    /// Opens the MP4 form of a clip. `original` is the clip's own file; its name and time give the number and time of
+    /// the clip.
     ///
     /// # Errors
-    /// It cannot be read, or is no H.264 in the high profile of level 4.1 or 4.2.
+    /// It cannot be read, or is not H.264 in the high profile of level 4.1 or 4.2.
     pub fn open(mp4: &Path, original: &Path) -> Result<Self> {
         let failed = |cause| DicomError::Read { file: mp4.to_owned(), cause };
         let wrong = |problem: String| DicomError::Input { file: original.to_owned(), problem };
         let mut file = File::open(mp4).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
         if bytes > MAX_BYTES {
-            return Err(wrong(format!("{bytes} bytes of video; an object holds at most 4 GiB: record shorter clips")));
+            return Err(wrong(format!("{bytes} bytes of video; the limit is 4 GiB: record shorter clips")));
         }
         let film = mp4::parse(&mut file).map_err(|error| wrong(error.to_string()))?;
         let transfer_syntax = transfer_syntax(&film).map_err(|error| wrong(error.to_string()))?;
@@ -71,12 +72,12 @@ impl Clip {
         })
     }
 
-    /// What it holds.
+    /// Properties of the video.
     pub fn film(&self) -> &Film {
         &self.film
     }
 
-    /// Writes it as an object into `folder`; `number` counts where the file's name has no number.
+    /// Writes it as an object into `folder`; `number` is used if the file's name has none.
     pub(crate) fn write(&self, study: &Study<'_>, number: u32, folder: &Path) -> Result<Pending> {
         let film = &self.film;
         let mut object = study.image(&Identity {
@@ -128,7 +129,7 @@ fn digest(mut file: File) -> std::io::Result<[u8; 32]> {
     }
 }
 
-/// Why no transfer syntax allows a video.
+/// A video that no transfer syntax allows.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 enum SyntaxError {
     /// Its H.264 is of another profile.

@@ -1,6 +1,6 @@
 //! The head of a JPEG file.
 
-/// What a JPEG file holds.
+/// Properties of a JPEG file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Jpeg {
     /// Width and height, px.
@@ -9,15 +9,17 @@ pub struct Jpeg {
     pub is_baseline: bool,
     /// Components: 1 for gray, 3 for YCbCr.
     pub components: u8,
-    /// Whether chroma is halved horizontally only (4:2:2), vertically too, or not: sampling factors of the first component.
+    /// Whether chroma is halved horizontally only (4:2:2), vertically too, or not: sampling factors of the first
+    /// component.
     pub sampling: u8,
     /// Whether an Adobe marker says that three components are RGB.
     pub is_rgb: bool,
-    /// Whether the file has its end.
+    /// Whether the file is complete.
     pub is_whole: bool,
 }
 
-/// Whether the marker of the end follows. In compressed data 0xFF is followed by 0 or by a marker; other segments have a length.
+/// Whether the marker of the end follows. In compressed data 0xFF is followed by 0 or by a marker; other segments have
+/// a length.
 fn has_end(mut bytes: &[u8]) -> bool {
     loop {
         let Some(start) = bytes.windows(2).position(|pair| pair[0] == 0xFF && ![0, 0xFF].contains(&pair[1])) else {

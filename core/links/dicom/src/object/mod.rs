@@ -1,4 +1,4 @@
-//! Objects of a study: what they have in common.
+//! Objects of a study: common elements.
 
 mod clip;
 mod jpeg;
@@ -20,16 +20,16 @@ pub use mp4::{Film, parse as parse_mp4};
 pub use report::{Group, Length, Lengths, Report};
 pub use still::Still;
 
-/// The same of all objects of one export.
+/// Data shared by all objects of one export.
 #[derive(Clone, Debug)]
 pub struct Study<'a> {
-    /// Whom they belong to.
+    /// Worklist entry that they belong to.
     pub entry: &'a Entry,
-    /// What the endoscope looked at.
+    /// Body region in view of the endoscope.
     pub region: Region,
 }
 
-/// Part of the body, which every video of an endoscope names (PS3.16, CID 4).
+/// Body region, which every endoscopic video must name (PS3.16, CID 4).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Region {
     /// Not known: the entire body.
@@ -64,7 +64,7 @@ impl Region {
     }
 }
 
-/// What tells one object from another.
+/// Identification of an object.
 pub(crate) struct Identity<'a> {
     /// SOP class UID.
     pub class: &'a str,
@@ -76,7 +76,7 @@ pub(crate) struct Identity<'a> {
     pub series: (u32, &'a str),
     /// Number within the series.
     pub number: u32,
-    /// When its content came to be.
+    /// Time of its content.
     pub moment: Moment,
 }
 
@@ -144,7 +144,7 @@ impl Study<'_> {
         common
     }
 
-    /// Which request and step an image belongs to; `None` where the worklist does not say.
+    /// The request and step that an image belongs to; `None` if the worklist has none.
     pub(crate) fn request(&self) -> Option<Set> {
         let Entry { requested, step, .. } = self.entry;
         if requested.0.is_empty() || step.0.is_empty() {
@@ -165,7 +165,7 @@ impl Study<'_> {
         Some(request)
     }
 
-    /// [`Self::common`], with what all images have.
+    /// [`Self::common`] with the elements of all images.
     pub(crate) fn image(&self, identity: &Identity<'_>) -> Set {
         let mut image = self.common(identity);
         image.put(empty(tags::PATIENT_ORIENTATION, VR::CS));

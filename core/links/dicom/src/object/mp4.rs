@@ -1,6 +1,7 @@
-//! What an MP4 file with H.264 holds, read from its index (ISO/IEC 14496-12 and 14496-15).
+//! Content of an MP4 file with H.264, read from its index (ISO/IEC 14496-12 and 14496-15).
 //!
-//! A clip goes into an object as it is, so the object has to say truthfully what is in it, and only what the standard allows may get in.
+//! A clip goes into an object as it is, so the object has to say truthfully what is in it, and only what the standard
+//! allows may get in.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -14,78 +15,78 @@ const MAX_BOXES: usize = 1000;
 pub struct Film {
     /// Width and height, px.
     pub size: (u16, u16),
-    /// Number of pictures.
+    /// Number of images.
     pub frames: u32,
     /// Length, s.
     pub seconds: f64,
-    /// `profile_idc`: 66 baseline, 77 main, 100 high.
+    /// H.264 profile, `profile_idc`: 66 baseline, 77 main, 100 high.
     pub profile: u8,
-    /// `level_idc`: 41 is level 4.1.
+    /// H.264 level, `level_idc`: 41 is level 4.1.
     pub level: u8,
-    /// 1: 4:2:0. Profiles up to main have no other.
+    /// Chroma format; 1: 4:2:0, the only one in profiles up to main.
     pub chroma_format: u8,
     /// Bits of luma and chroma.
     pub bits: (u8, u8),
 }
 
-/// Why a file is not an MP4 file with one track of H.264.
+/// A file that is not an MP4 file with one H.264 track.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum Mp4Error {
     /// The operating system's error.
     #[error(transparent)]
     Read(#[from] std::io::Error),
-    /// A box inside the index is longer than what contains it.
-    #[error("a box `{kind}` of {size} bytes, {left} are there")]
+    /// A box inside the index is longer than its container.
+    #[error("a box `{kind}` has {size} bytes, but only {left} follow")]
     LongBox { kind: String, size: usize, left: usize },
     /// A box of the file is longer than the file.
-    #[error("at byte {at}: a box of {size} bytes, {left} are there")]
+    #[error("at byte {at}: a box has {size} bytes, but only {left} follow")]
     LongBoxAt { at: u64, size: u64, left: u64 },
-    /// More boxes side by side than are read.
+    /// Too many boxes at one level.
     #[error("more than {MAX_BOXES} boxes")]
     ManyBoxes,
     /// A box is missing.
     #[error("there is no box `{kind}`")]
     NoBox { kind: String },
     /// A box ends before its fields do.
-    #[error("{what} is cut off")]
+    #[error("{what} is truncated")]
     Cut { what: &'static str },
     /// A track of sound, for example.
-    #[error("it has a track that is no video")]
+    #[error("it has a track other than video")]
     OtherTrack,
     /// No video track, or several.
     #[error("it has {count} video tracks, not one")]
     Tracks { count: usize },
-    /// The index is longer than any that is read.
-    #[error("its index has {size} bytes; {MAX_INDEX_BYTES} are the most")]
+    /// The index is too long.
+    #[error("its index of {size} bytes exceeds the limit of {MAX_INDEX_BYTES}")]
     LongIndex { size: u64 },
     /// The box `moov` is missing.
-    #[error("it has no index: no MP4 file, or one that was not completed")]
+    #[error("it has no index: it is not an MP4 file, or was not completed")]
     NoIndex,
     /// Neither version 0 nor 1.
-    #[error("a version of `mdhd` that is not known")]
+    #[error("the version of `mdhd` is unknown")]
     Version,
     /// Several descriptions.
-    #[error("its pictures are coded in more than one way")]
+    #[error("its images have more than one encoding")]
     Codings,
     /// No description.
-    #[error("its pictures are not described")]
+    #[error("its images have no description")]
     NoCoding,
     /// Another codec.
-    #[error("its pictures are `{kind}`, not H.264 (`avc1`)")]
+    #[error("its images are `{kind}`, not H.264 (`avc1`)")]
     OtherCoding { kind: String },
-    /// No pictures, or pictures without pixels or time.
-    #[error("it holds no pictures")]
+    /// No images, or images without pixels or duration.
+    #[error("it has no images")]
     Empty,
-    /// More than 2^31 pictures.
-    #[error("too many pictures")]
+    /// More than 2^31 images.
+    #[error("it has too many images")]
     TooMany,
     /// More than 2^64 ticks.
-    #[error("too long")]
+    #[error("it is too long")]
     TooLong,
 }
 
-/// A box: its type, and where its content lies.
+/// A box: its type and its content.
 type Box_<'a> = ([u8; 4], &'a [u8]);
 
 /// The boxes in some bytes.
@@ -122,10 +123,11 @@ fn be16(bytes: &[u8], at: usize) -> Result<u16, Mp4Error> {
     two.map(u16::from_be_bytes).ok_or(Mp4Error::Cut { what: "a box" })
 }
 
-/// Reads what the one video track of a file holds.
+/// Reads the properties of the only video track of a file.
 ///
 /// # Errors
-/// It is no MP4 file with one track of H.264, or damaged; or it cannot be read.
+///
+/// The file cannot be read, is damaged, or is not an MP4 file with one H.264 track.
 pub fn parse(file: &mut (impl Read + Seek)) -> Result<Film, Mp4Error> {
     let index = index(file)?;
     let mut films = Vec::new();
@@ -206,7 +208,7 @@ fn film(media: &[u8]) -> Result<Film, Mp4Error> {
     Ok(Film { size, frames, seconds, profile, level, chroma_format, bits })
 }
 
-/// Number of pictures and their time in ticks.
+/// Number of images and their time in ticks.
 fn times(stts: &[u8]) -> Result<(u32, u64), Mp4Error> {
     let runs = be32(stts, 4)? as usize;
     let body = stts.get(8..).unwrap_or_default();

@@ -1,4 +1,5 @@
-//! Measurements as Comprehensive SR (PS3.3, A.35.3): lengths, depths and angles with their 95 % error bounds, units in UCUM.
+//! Measurements as Comprehensive SR (PS3.3, A.35.3): lengths, depths and angles with their 95 % error bounds, units in
+//! UCUM.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -15,11 +16,11 @@ use crate::error::{DicomError, Result};
 use crate::part10::{EXPLICIT, Pending, write};
 use crate::time::Moment;
 
-/// Comprehensive SR Storage.
+/// SOP class UID of Comprehensive SR Storage.
 pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.88.33";
 /// Number of the series of measurements.
 const SERIES: (u32, &str) = (3, "Measurements");
-/// Longest line of a table.
+/// Maximum length of a line of a table, bytes.
 const MAX_LINE_BYTES: u64 = 1 << 20;
 /// Maximum number of lines that are read of a table.
 const MAX_LINES: usize = 10_000_000;
@@ -35,7 +36,7 @@ const ANGLE: (&str, &str, &str) = ("1483009", "SCT", "Angle");
 const MM: (&str, &str, &str) = ("mm", "UCUM", "millimeter");
 const DEGREE: (&str, &str, &str) = ("deg", "UCUM", "degree");
 
-/// What was measured.
+/// A measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Length {
     /// `Length`, `Depth` or `Angle`.
@@ -43,16 +44,16 @@ pub struct Length {
     unit: (&'static str, &'static str, &'static str),
     /// The value in mm or degrees.
     pub value: f64,
-    /// Its 95 % error bound; `None` where it is not known.
+    /// Its 95 % error bound; `None` if unknown.
     pub error: Option<f64>,
-    /// Ends in the picture, px: column and row, the centre of the first pixel at 0, 0.
+    /// Ends in the image, px: column and row, the centre of the first pixel at 0, 0.
     pub points: Vec<[f64; 2]>,
 }
 
-/// Measurements of one table, and the picture in which they were made.
+/// Measurements of one table, and the image in which they were made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lengths {
-    /// Name of the picture's file beside the table.
+    /// Name of the image's file next to the table.
     pub picture: Option<PathBuf>,
     /// The measurements.
     pub rows: Vec<Length>,
@@ -108,14 +109,14 @@ impl Row {
     }
 }
 
-/// Why a table of measurements cannot be read.
+/// A table of measurements that cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum TableError {
     /// The operating system's error.
     #[error(transparent)]
     Read(#[from] std::io::Error),
-    /// A line is longer than any that is written.
+    /// A line is too long.
     #[error("line {number} has more than {MAX_LINE_BYTES} bytes")]
     LongLine { number: usize },
     /// A line is not a row of such a table.
@@ -124,7 +125,7 @@ pub enum TableError {
 }
 
 impl Lengths {
-    /// Whether a table holds a measurement.
+    /// Whether a table has a measurement.
     ///
     /// # Errors
     /// It cannot be read, or is damaged.
@@ -135,25 +136,26 @@ impl Lengths {
         Ok(!lengths.map_err(wrong)?.rows.is_empty())
     }
 
-    /// The last known measurements in a table of JSON lines: of the node `measure`, or of the theatre beside a still.
+    /// The last known measurements in a table of JSON lines: of the node `measure`, or of the theatre next to a still.
     ///
     /// # Errors
-    /// It cannot be read, or holds no measurement.
+    /// It cannot be read, or has no measurement.
     pub fn open(file: &Path) -> Result<Self> {
         let failed = |cause| DicomError::Read { file: file.to_owned(), cause };
         let wrong = |problem: String| DicomError::Input { file: file.to_owned(), problem };
         let lengths = Self::read(BufReader::new(File::open(file).map_err(failed)?));
         let lengths = lengths.map_err(|error| wrong(error.to_string()))?;
         if lengths.rows.is_empty() {
-            return Err(wrong("it holds no measurement: it needs the `table` of a node `measure`".to_owned()));
+            return Err(wrong("it has no measurement: it must be the `table` of a node `measure`".to_owned()));
         }
         Ok(lengths)
     }
 
-    /// [`Self::open`] of text; without rows where there is no measurement.
+    /// [`Self::open`] of text; no rows if there is no measurement.
     ///
     /// # Errors
-    /// What is wrong.
+    ///
+    /// The text is malformed.
     pub fn read(mut lines: impl BufRead) -> Result<Self, TableError> {
         let mut last = Self::default();
         let mut bytes = Vec::new();
@@ -191,9 +193,9 @@ impl Lengths {
 
 /// A group of measurements in a report.
 pub struct Group {
-    /// What is measured.
+    /// Measurements and their image.
     pub lengths: Lengths,
-    /// SOP class, SOP instance and series of the picture.
+    /// SOP class, SOP instance and series of the image.
     pub picture: Option<(String, String, String)>,
 }
 
@@ -264,7 +266,7 @@ impl Report {
         object
     }
 
-    /// The pictures that the report refers to.
+    /// The images that the report refers to.
     fn evidence(&self, study: &Study<'_>) -> Option<Set> {
         let mut pictures: Vec<_> = self.groups.iter().filter_map(|group| group.picture.as_ref()).collect();
         pictures.sort();
@@ -335,7 +337,7 @@ fn group(group: &Group) -> Set {
     container
 }
 
-/// Where in the picture it was measured. DICOM's origin is the corner of the first pixel, not its centre.
+/// Position in the image of a measurement. DICOM's origin is the corner of the first pixel, not its centre.
 fn ends(points: &[[f64; 2]], class: &str, instance: &str) -> Set {
     let data: Vec<f32> = points.iter().flatten().map(|px| (px + 0.5) as f32).collect();
     let mut picture =

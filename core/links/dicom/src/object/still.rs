@@ -1,4 +1,4 @@
-//! A still as Secondary Capture (PS3.3, A.8.1): pixels as they are, not compressed; a baseline JPEG stays the JPEG that it was.
+//! A still as Secondary Capture (PS3.3, A.8.1): uncompressed pixels, or the unchanged bytes of a baseline JPEG.
 
 use std::io::Write;
 use std::path::Path;
@@ -14,15 +14,15 @@ use crate::error::{DicomError, Result};
 use crate::part10::{EXPLICIT, Pending, write};
 use crate::time::Moment;
 
-/// Secondary Capture Image Storage.
+/// SOP class UID of Secondary Capture Image Storage.
 pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.7";
-/// JPEG baseline, process 1.
+/// Transfer syntax UID of JPEG baseline, process 1.
 const JPEG_BASELINE: &str = "1.2.840.10008.1.2.4.50";
 /// Number of the series of stills.
 pub(super) const SERIES: (u32, &str) = (1, "Stills");
-/// Maximum number of bytes of a picture file.
+/// Maximum number of bytes of an image file.
 const MAX_FILE_BYTES: u64 = 256 << 20;
-/// Maximum number of pixels of a picture.
+/// Maximum number of pixels of an image.
 const MAX_PIXELS: u64 = 1 << 26;
 
 /// Pixels of a still.
@@ -33,7 +33,7 @@ enum Pixels {
     Jpeg(u16, &'static str, Vec<u8>),
 }
 
-/// A picture file, read.
+/// A decoded image file.
 pub struct Still {
     size: (u16, u16),
     pixels: Pixels,
@@ -46,13 +46,13 @@ impl Still {
     /// Reads a PNG, JPEG or TIFF file of 8 bits.
     ///
     /// # Errors
-    /// It cannot be read, or is no such picture.
+    /// It cannot be read, or is not such an image.
     pub fn open(file: &Path) -> Result<Self> {
         let wrong = |problem: String| DicomError::Input { file: file.to_owned(), problem };
         let failed = |cause| DicomError::Read { file: file.to_owned(), cause };
         let about = std::fs::metadata(file).map_err(failed)?;
         if about.len() > MAX_FILE_BYTES {
-            return Err(wrong(format!("{} bytes; {MAX_FILE_BYTES} are the most", about.len())));
+            return Err(wrong(format!("{} bytes exceed the limit of {MAX_FILE_BYTES}", about.len())));
         }
         let bytes = std::fs::read(file).map_err(failed)?;
         let sha256: [u8; 32] = Sha256::digest(&bytes).into();
@@ -71,7 +71,7 @@ impl Still {
         (CLASS, study.instance(CLASS, &self.sha256))
     }
 
-    /// Writes it as an object into `folder`; `number` counts where the file's name has no number.
+    /// Writes it as an object into `folder`; `number` is used if the file's name has none.
     pub(crate) fn write(&self, study: &Study<'_>, number: u32, folder: &Path) -> Result<Pending> {
         let object = self.object(study, number);
         match &self.pixels {
@@ -125,7 +125,7 @@ pub(super) fn pixel_description(object: &mut Set, (width, height): (u16, u16), s
     object.put(number(tags::PIXEL_REPRESENTATION, 0));
 }
 
-/// Says that pixels were compressed with losses.
+/// Marks pixels as compressed with losses.
 pub(super) fn lossy(object: &mut Set, method: &str, ratio: f64) {
     object.put(text(tags::LOSSY_IMAGE_COMPRESSION, VR::CS, "01"));
     object.put(text(tags::LOSSY_IMAGE_COMPRESSION_RATIO, VR::DS, format!("{ratio:.2}")));
@@ -135,7 +135,7 @@ pub(super) fn lossy(object: &mut Set, method: &str, ratio: f64) {
 const PIXEL_DATA: [u8; 4] = [0xE0, 0x7F, 0x10, 0x00];
 const ITEM: [u8; 4] = [0xFE, 0xFF, 0x00, 0xE0];
 
-/// The element of plain pixels, explicit VR.
+/// Writes the element of uncompressed pixels, explicit VR.
 fn pixel_data(out: &mut dyn Write, pixels: &[u8]) -> std::io::Result<()> {
     let length = u32::try_from(pixels.len() + pixels.len() % 2).map_err(std::io::Error::other)?;
     out.write_all(&PIXEL_DATA)?;
@@ -145,7 +145,8 @@ fn pixel_data(out: &mut dyn Write, pixels: &[u8]) -> std::io::Result<()> {
     out.write_all(&[0][..pixels.len() % 2])
 }
 
-/// The start of compressed pixels of one fragment of `length` bytes, which follow: an empty offset table, the head of the fragment.
+/// Writes the start of compressed pixels in one fragment of `length` bytes, which follow: an empty offset table and the
+/// head of the fragment.
 pub(super) fn encapsulated_head(out: &mut dyn Write, length: u64) -> std::io::Result<()> {
     let length = u32::try_from(length + length % 2).map_err(std::io::Error::other)?;
     out.write_all(&PIXEL_DATA)?;
@@ -156,13 +157,13 @@ pub(super) fn encapsulated_head(out: &mut dyn Write, length: u64) -> std::io::Re
     out.write_all(&length.to_le_bytes())
 }
 
-/// What follows a fragment of `length` bytes: padding, the end of the sequence.
+/// Writes the end of a fragment of `length` bytes: padding and the end of the sequence.
 pub(super) fn encapsulated_end(out: &mut dyn Write, length: u64) -> std::io::Result<()> {
     out.write_all(&[0][..(length % 2) as usize])?;
     out.write_all(&[0xFE, 0xFF, 0xDD, 0xE0, 0, 0, 0, 0])
 }
 
-/// Why a picture cannot be a still.
+/// An image that cannot become a still.
 #[derive(Debug, thiserror::Error)]
 enum StillError {
     /// It cannot be read.
@@ -171,14 +172,14 @@ enum StillError {
     /// It cannot be decoded.
     #[error(transparent)]
     Decode(#[from] image::ImageError),
-    /// A JPEG without its end.
-    #[error("the JPEG is cut off: its end is missing")]
+    /// A truncated JPEG.
+    #[error("the JPEG is truncated: its end is missing")]
     CutOff,
     /// It is empty or too large.
     #[error("{width} x {height} px; DICOM holds at most 65535 in each direction")]
     Size { width: u32, height: u32 },
     /// Its pixels are of another kind.
-    #[error("its pixels are {color:?}; stills have 8 bits, gray or RGB")]
+    #[error("its pixels are {color:?}; stills must have 8 bits, gray or RGB")]
     Color { color: image::ColorType },
 }
 

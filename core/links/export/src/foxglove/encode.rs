@@ -14,7 +14,7 @@ use super::{frames, messages};
 use crate::selection::Form;
 use crate::value::{Picture, Value};
 
-/// Where a packet comes from.
+/// Origin of a packet.
 #[derive(Clone, Copy, Debug)]
 pub struct Origin<'o> {
     /// `node.output`.
@@ -42,27 +42,26 @@ pub struct Message<'m> {
 }
 
 impl Message<'_> {
-    /// Time of capture since 1970, or since whatever moment capture times are counted from; 0 for earlier ones.
+    /// Time of capture since 1970, or since the origin of capture times; 0 for earlier ones.
     pub fn nanoseconds(&self) -> u64 {
         nanoseconds(self.tick)
     }
 }
 
-/// How 8-bit pictures are encoded.
+/// Encoding of 8-bit images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pictures {
     /// As PNG, for files.
     Png,
-    /// Without compression, and as JPEG on a topic of its own: for live connections, in which encoding must not take time.
+    /// Without compression, and as JPEG on a separate topic, for live connections, where encoding must be fast.
     RawAndJpeg,
 }
 
 /// Receives messages.
 pub trait Messages {
-    /// Takes a message.
+    /// Receives a message.
     ///
-    /// # Errors
-    /// It cannot be written.
+    /// # Errors It cannot be written.
     fn put(&mut self, message: &Message<'_>) -> io::Result<()>;
 
     /// Whether messages of this topic are wanted; others are not made.
@@ -71,13 +70,13 @@ pub trait Messages {
         true
     }
 
-    /// How 8-bit pictures are encoded.
+    /// Encoding of 8-bit images.
     fn pictures(&self) -> Pictures {
         Pictures::Png
     }
 }
 
-/// `/node/port`: a point would end the topic in a message path of Foxglove.
+/// `/node/port`: a dot would end the topic in a Foxglove message path.
 pub fn topic(port: &str) -> String {
     format!("/{}", port.replace('.', "/"))
 }
@@ -91,7 +90,7 @@ fn timestamp(tick: &Tick) -> Timestamp {
     Timestamp::new(u32::try_from(ns / 1_000_000_000).unwrap_or(u32::MAX), (ns % 1_000_000_000) as u32)
 }
 
-/// Gives the messages of a packet to `out`. Returns the name of the schema that shows most of it.
+/// Passes the messages of a packet to `out`. Returns the name of the main schema.
 ///
 /// # Errors
 /// Those of `out` and of the encoders.
@@ -105,7 +104,7 @@ struct Encoder<'e, M> {
 }
 
 impl<M: Messages> Encoder<'_, M> {
-    /// Puts a message of Foxglove; `form` is the name of its schema.
+    /// Writes a Foxglove message; `form` is the name of its schema.
     fn message<E: Encode>(
         &mut self,
         topic: &str,
@@ -140,7 +139,7 @@ impl<M: Messages> Encoder<'_, M> {
         }
     }
 
-    /// Puts an object whose fields `write` appends.
+    /// Writes a JSON object whose fields `write` appends.
     fn json(
         &mut self,
         topic: &str,

@@ -1,4 +1,4 @@
-//! Coordinate frames of what is shown in space. Lengths are in m there, as Foxglove and ROS have it.
+//! Coordinate frames of spatial data. Lengths are in m, as in Foxglove and ROS.
 
 use foxglove::messages::{FrameTransform, FrameTransforms, Pose, Quaternion, Timestamp, Vector3};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
@@ -16,7 +16,7 @@ pub const LEFT_RECTIFIED: &str = "left_rectified";
 /// The right camera after rectification.
 const RIGHT_RECTIFIED: &str = "right_rectified";
 
-/// The frame of a picture, by the output's name.
+/// The frame of an image, by the output's name.
 pub fn of_picture(port: &str, packet: &str) -> &'static str {
     let output = port.rsplit_once('.').map_or(port, |(_, output)| output);
     match packet {
@@ -35,12 +35,12 @@ fn quaternion(wxyz: [f64; 4]) -> Quaternion {
     Quaternion { x, y, z, w }
 }
 
-/// Where `b` stands in `a`.
+/// Pose of `b` in `a`.
 pub fn pose(value: &abi::Pose) -> Pose {
     Pose { position: Some(metres(value.a_from_b_mm)), orientation: Some(quaternion(value.a_from_b_wxyz)) }
 }
 
-/// The same as a transform between two frames; `None` where one has no name.
+/// A transform between two frames; `None` if one has no name.
 pub fn transform(value: &abi::Pose, timestamp: Timestamp) -> Option<FrameTransform> {
     let (parent_frame_id, child_frame_id) = (packet::name(&value.a), packet::name(&value.b));
     let is_named = !parent_frame_id.is_empty() && !child_frame_id.is_empty();
@@ -53,7 +53,7 @@ pub fn transform(value: &abi::Pose, timestamp: Timestamp) -> Option<FrameTransfo
     })
 }
 
-/// Where cameras and rectified cameras stand: the inverse of what the calibration states.
+/// Poses of cameras and rectified cameras: the inverse of the calibration's transforms.
 pub fn of_calibration(calibration: &abi::Calibration, timestamp: Timestamp) -> FrameTransforms {
     let mut transforms =
         vec![inverse(LEFT, RIGHT, &calibration.right_from_left_rotation, calibration.right_from_left_mm, timestamp)];

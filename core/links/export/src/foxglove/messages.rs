@@ -42,7 +42,8 @@ pub fn compressed(
     })
 }
 
-/// The pixels without compression: what PNG cannot hold, or Foxglove does not read from it. Floats and 16 bits are little-endian.
+/// The pixels without compression: for pixels that PNG cannot hold or that Foxglove does not read from PNG. Floats and
+/// 16 bits are little-endian.
 ///
 /// # Errors
 /// The encoder's.
@@ -68,7 +69,8 @@ pub fn raw(pixels: &Pixels<'_>, timestamp: Timestamp, frame: &str) -> std::io::R
     })
 }
 
-/// The known points in m, with their colours; the field `filled` is 1 for points that were filled in, 0 for measured ones.
+/// The known points in m, with their colours; the field `filled` is 1 for points that were filled in, 0 for measured
+/// ones.
 pub fn cloud(points: &[abi::CloudPoint], timestamp: Timestamp) -> PointCloud {
     const STRIDE: usize = 17;
     let mut data = Vec::with_capacity(points.len() * STRIDE);
@@ -131,7 +133,7 @@ fn camera(
     }
 }
 
-/// A box on a picture.
+/// A box on an image.
 fn rectangle([x, y, width, height]: [f64; 4], timestamp: Timestamp) -> PointsAnnotation {
     let corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)];
     PointsAnnotation {
@@ -165,14 +167,14 @@ pub fn boxes(detections: &Detections<'_>, timestamp: Timestamp) -> ImageAnnotati
     annotations
 }
 
-/// A rectangle on a picture.
+/// A rectangle on an image.
 pub fn roi(value: &abi::Roi, timestamp: Timestamp) -> ImageAnnotations {
     let place = [value.x, value.y, value.width, value.height].map(f64::from);
     let points = vec![rectangle(place, timestamp)];
     ImageAnnotations { timestamp: Some(timestamp), points, ..ImageAnnotations::default() }
 }
 
-/// The tip on the picture.
+/// The tip on the image.
 pub fn tip_mark(tip: &abi::Tip, timestamp: Timestamp) -> ImageAnnotations {
     let circle = CircleAnnotation {
         timestamp: Some(timestamp),
@@ -185,7 +187,7 @@ pub fn tip_mark(tip: &abi::Tip, timestamp: Timestamp) -> ImageAnnotations {
     ImageAnnotations { timestamp: Some(timestamp), circles: vec![circle], ..ImageAnnotations::default() }
 }
 
-/// The tip in space, in m; `None` where that is not known.
+/// The tip in space, in m; `None` if it is not known.
 pub fn tip_point(tip: &abi::Tip, timestamp: Timestamp) -> Option<Point3InFrame> {
     let [x, y, z] = tip.xyz_mm.map(|mm| mm * MM);
     (tip.xyz_valid == 1).then(|| Point3InFrame {

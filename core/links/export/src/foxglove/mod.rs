@@ -8,14 +8,14 @@
 //! | `cloud` | `/node/port` | `foxglove.PointCloud`, m, known points |
 //! | `calibration` | `/node/port/left`, `/right`, `/frames` | `foxglove.CameraCalibration`, `foxglove.FrameTransforms` |
 //! | `detections`, `roi` | `/node/port` | `foxglove.ImageAnnotations` |
-//! | `instances` | `/node/port`, `/masks` | as `detections`, and the number of the box in each pixel as a picture |
+//! | `instances` | `/node/port`, `/masks` | as `detections`, and the number of the box in each pixel as an image |
 //! | `tip` | `/node/port`, `/position` | `foxglove.ImageAnnotations`, `foxglove.Point3InFrame` |
 //! | `pose` | `/node/port`, `/frame` | `foxglove.PoseInFrame`, `foxglove.FrameTransform`, m |
 //! | `joints` | `/node/port` | `foxglove.JointStates` |
 //! | `homography`, `scalar`, `table`, `text` | `/node/port` | JSON with a JSON schema |
 //!
-//! The time of a message is the capture time of its tick; messages are in this order. Lengths in space are in m, as Foxglove has them; numbers in
-//! JSON keep the unit in their names.
+//! The time of a message is the capture time of its tick; messages are in this order. Lengths in space are in m, as
+//! Foxglove has them; numbers in JSON keep the unit in their names.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};

@@ -12,9 +12,9 @@ use crate::value::Kind;
 pub struct Schema {
     /// `protobuf` or `jsonschema`.
     pub encoding: &'static str,
-    /// What describes the message: a set of file descriptors, or a text.
+    /// Description of the message: a set of file descriptors, or a text.
     pub data: Vec<u8>,
-    /// How messages are encoded: `protobuf` or `json`.
+    /// Encoding of messages: `protobuf` or `json`.
     pub message_encoding: &'static str,
 }
 
@@ -27,8 +27,8 @@ pub struct Topic {
     pub form: Form,
 }
 
-/// The topics of an output of this kind in a live connection, where 8-bit pictures are raw and, below `/jpeg`, compressed. `topic` is that of the
-/// output.
+/// The topics of an output of this kind in a live connection, where 8-bit images are raw and, below `/jpeg`,
+/// compressed. `topic` is the output's.
 pub fn topics(kind: Kind, topic: &str) -> Vec<Topic> {
     let forms: &[(&str, Form)] = match kind {
         Kind::Picture => &[("", "foxglove.RawImage"), ("/jpeg", "foxglove.CompressedImage")],
@@ -52,7 +52,7 @@ pub fn topics(kind: Kind, topic: &str) -> Vec<Topic> {
 }
 
 impl Schema {
-    /// The schema of that name. `columns` are those of a table, where they are known.
+    /// The schema of that name. `columns` are those of a table, if they are known.
     pub fn of(form: Form, columns: &[String]) -> Self {
         match form {
             "foxglove.RawImage" => protobuf::<own::RawImage>(),

@@ -1,9 +1,9 @@
-//! Errors.
+//! Errors of the server for Foxglove.
 
 use std::io;
 use std::net::SocketAddr;
 
-/// Why a graph is not served.
+/// A graph that is not served.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveServerError {
     /// The address cannot be listened on.
@@ -13,15 +13,15 @@ pub enum LiveServerError {
     Listen {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
-    /// There is no thread for the server.
+    /// The server's thread could not be started.
     #[error("cannot start the threads that serve {address}: {cause}")]
     Thread {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         cause: io::Error,
     },
     /// Foxglove's server did not start.
@@ -29,7 +29,7 @@ pub enum LiveServerError {
     Foxglove {
         /// The address.
         address: SocketAddr,
-        /// Why.
+        /// Reason.
         words: String,
     },
 }

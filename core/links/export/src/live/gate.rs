@@ -1,8 +1,10 @@
-//! The door in front of a WebSocket server: which requests reach it.
+//! The gate in front of a WebSocket server, which filters requests.
 //!
-//! A browser lets every page open a WebSocket to this machine, so the server must look at `Origin`. Foxglove's server does not. The gate listens on
-//! the public address, reads the head of each request, and connects what may pass to the server, which listens on a loopback address that is
-//! drawn at random (127.A.B.C, a free port), so that a page cannot guess it.
+//!
+//!
+//! A browser lets every page open a WebSocket to this machine, so the server must look at `Origin`. Foxglove's server
+//! does not. The gate listens on the public address, reads the head of each request, and connects accepted clients to
+//! the server, which listens on a random loopback address (127.A.B.C, a free port), so that a page cannot guess it.
 
 use std::collections::VecDeque;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
@@ -16,37 +18,37 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, copy_bidirectional};
 use tokio::net::TcpStream;
 use tokio::sync::{Semaphore, oneshot};
 
-/// Longest head of a request.
+/// Maximum length of a request's head, bytes.
 const MAX_HEAD_BYTES: usize = 16 << 10;
 /// Maximum number of fields of a head.
 const MAX_FIELDS: usize = 64;
-/// How long a client may take for the head.
+/// Time limit for a client to send the head.
 const MAX_HEAD_TIME: Duration = Duration::from_secs(5);
-/// How long a client may be silent before its machine is asked whether it is there, and between further questions.
+/// TCP keep-alive: silence before the first probe, and time between further probes.
 const KEEPALIVE: Duration = Duration::from_secs(15);
-/// Clients at a time.
+/// Maximum number of clients at a time.
 pub const MAX_CLIENTS: usize = 16;
-/// Connections without a whole head at a time; one more ends the oldest of them.
+/// Maximum number of connections without a complete head; a further one ends the oldest of them.
 const MAX_WAITING: usize = 64;
 /// The page of Foxglove that may connect from a browser.
 const FOXGLOVE_ORIGIN: &str = "https://app.foxglove.dev";
 
-/// Why a request does not pass.
+/// A request that is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     /// Not the head of an HTTP request.
-    #[error("this is no request for a WebSocket")]
+    #[error("this is not a WebSocket request")]
     Malformed,
-    /// The head did not come in time.
-    #[error("no whole request came within {} s", MAX_HEAD_TIME.as_secs())]
+    /// The head did not arrive in time.
+    #[error("no complete request arrived within {} s", MAX_HEAD_TIME.as_secs())]
     Silent,
-    /// So many clients are there already.
-    #[error("{MAX_CLIENTS} clients are connected, and more are not served; close one of them")]
+    /// The maximum number of clients is reached.
+    #[error("{MAX_CLIENTS} clients are connected, which is the limit; close one of them")]
     Full,
     /// `Host` is a name, which could belong to another page.
     #[error("ask with an IP address or `localhost` as the host: a name could belong to another page")]
     Host,
-    /// A page of another origin asked.
+    /// A page of another origin sent the request.
     #[error("pages of `{origin}` may not connect; Foxglove's application and pages of this machine may")]
     Origin {
         /// The origin.
@@ -65,13 +67,12 @@ impl Refusal {
     }
 }
 
-/// Checks the head of a request, up to and with the empty line.
+/// Checks the head of a request, up to and including the empty line.
 ///
-/// Programs send no `Origin`, and Foxglove's desktop application one that is no web page's. Pages of the web have `http` or `https`; of these
-/// only pages of this machine and Foxglove's own may pass.
+/// Programs send no `Origin`, and Foxglove's desktop application sends one that is not of a web page. Web pages have
+/// `http` or `https`; only pages of this machine and Foxglove's own may pass.
 ///
-/// # Errors
-/// Why it does not pass.
+/// # Errors The reason of the refusal.
 pub fn check_head(head: &[u8]) -> Result<(), Refusal> {
     let mut fields = [httparse::EMPTY_HEADER; MAX_FIELDS];
     let mut request = httparse::Request::new(&mut fields);
@@ -120,7 +121,7 @@ pub fn hidden_loopback() -> Ipv4Addr {
     Ipv4Addr::new(127, a.max(1), b, c.clamp(1, 254))
 }
 
-/// Connections that did not become clients since the last look at them.
+/// Connections that were refused since the last report.
 #[derive(Debug, Default)]
 pub struct Refused(Mutex<Option<(u64, IpAddr, Refusal)>>);
 
@@ -131,7 +132,7 @@ impl Refused {
         *refused = Some((count + 1, from, why));
     }
 
-    /// A line about them, if there are any.
+    /// A line about them, if there are any; resets the count.
     pub fn take(&self) -> Option<String> {
         let (count, from, why) = lock(&self.0).take()?;
         Some(match count {
@@ -141,7 +142,8 @@ impl Refused {
     }
 }
 
-/// Accepts clients until the runtime ends. A connection counts as a client once its request has come, so that silent ones keep nobody out.
+/// Accepts clients until the runtime ends. A connection counts as a client once its request has arrived, so that silent
+/// ones block no one.
 pub async fn accept(listener: TcpListener, server: SocketAddr, refused: Arc<Refused>) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
     let clients = Arc::new(Semaphore::new(MAX_CLIENTS));
@@ -170,7 +172,7 @@ pub async fn accept(listener: TcpListener, server: SocketAddr, refused: Arc<Refu
     }
 }
 
-/// Serves a client to its end; or says why it was refused.
+/// Serves a client to its end, or returns why it was refused.
 async fn serve(
     mut client: TcpStream,
     server: SocketAddr,
@@ -213,7 +215,7 @@ async fn serve(
     Ok(Some(refusal))
 }
 
-/// The bytes so far, and where the head ends in them.
+/// The received bytes, and the offset of the end of the head.
 async fn read_head(client: &mut TcpStream) -> std::io::Result<(Vec<u8>, usize)> {
     let mut bytes = Vec::with_capacity(1 << 10);
     loop {
@@ -273,7 +275,7 @@ mod tests {
         (runtime, address, refused)
     }
 
-    /// The first line of the answer to a request, and the connection.
+    /// Sends a request. Returns the first line of the answer, and the connection.
     fn ask(address: SocketAddr) -> (String, std::net::TcpStream) {
         use std::io::{BufRead, BufReader, Write};
         let mut client = std::net::TcpStream::connect(address).unwrap();

@@ -1,9 +1,10 @@
 //! A running graph for other programs.
 //!
-//! [`FoxgloveServer`] serves Foxglove's WebSocket protocol: a topic for each output, parameters of nodes. A [`Gate`](gate) in front of it refuses
-//! pages of other origins. Outputs without a subscriber cost nothing: previews exist only while somebody is subscribed.
+//! [`FoxgloveServer`] serves Foxglove's WebSocket protocol: a topic for each output, parameters of nodes. A
+//! [`Gate`](gate) in front of it refuses pages of other origins. Outputs without a subscriber cost nothing: previews
+//! exist only while there is a subscriber.
 //!
-//! Nothing here listens unless the user asks for it.
+//! Nothing listens unless the user requests it.
 
 mod error;
 mod gate;

@@ -17,11 +17,11 @@ pub struct Output {
     pub port: String,
     /// Name of the packet's type.
     pub packet: String,
-    /// What its packets hold.
+    /// Kind of its packets.
     pub kind: Kind,
     /// Channels by topic.
     pub channels: BTreeMap<String, Arc<RawChannel>>,
-    /// There only while somebody is subscribed.
+    /// Present only while there is a subscriber.
     pub preview: Option<Preview>,
 }
 
@@ -51,7 +51,8 @@ fn of_graph(graph: &Graph, catalog: &Catalog) -> Vec<(String, String, String, Ki
     all
 }
 
-/// Makes `outputs` those of `graph`: channels that stay keep their subscribers. Returns the nodes whose previews have ended.
+/// Updates `outputs` to those of `graph`; channels that stay keep their subscribers. Returns the nodes whose previews
+/// have ended.
 ///
 /// # Errors
 /// A channel cannot be made.

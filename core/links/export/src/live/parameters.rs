@@ -11,11 +11,11 @@ use panoscope_host::loader::Live;
 
 /// A request to set parameters.
 pub struct Request {
-    /// Who asked.
+    /// The client that sent it.
     pub client: AnyClient,
     /// New values.
     pub parameters: Vec<Parameter>,
-    /// Takes the values that hold afterwards.
+    /// Receives the values in force afterwards.
     pub responder: SetParametersResponder,
 }
 
@@ -44,38 +44,38 @@ fn shown(name: String, value: ParamValue) -> Parameter {
     }
 }
 
-/// Why a parameter is not set.
+/// A parameter that is not set.
 #[derive(Debug, thiserror::Error)]
 pub enum ParameterError {
     /// No such parameter.
     #[error("there is no parameter `{name}`")]
     Unknown {
-        /// The start of what the client asked for.
+        /// Beginning of the requested name.
         name: String,
     },
-    /// The parameter exists and stays as it was.
-    #[error("`{name}` is not set: {why}")]
+    /// The parameter exists and is unchanged.
+    #[error("`{name}` was not set: {why}")]
     Refused {
         /// The parameter, as `node.param`.
         name: String,
-        /// Why.
+        /// Reason.
         why: Refusal,
     },
 }
 
-/// Why an existing parameter is not set.
+/// Reason why an existing parameter is not set.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// The preset of the graph leaves it out.
     #[error("the graph has a `[preset]`, which does not pin it")]
     NotPinned,
-    /// Its node has side effects and no preset allows it.
-    #[error("its node acts on the world; pin it in `[preset]` to allow it")]
+    /// Its node has side effects and no preset pins the parameter.
+    #[error("its node has side effects; pin it in `[preset]` to allow it")]
     SideEffects,
-    /// The request names no value.
+    /// The request has no value.
     #[error("it has no value")]
     NoValue,
-    /// Texts and paths can name any file or address.
+    /// Texts and paths are refused, because they can name any file or address.
     #[error("texts and paths, which name files, addresses and pipelines, are not set from here")]
     Text,
     /// The value is of another type.
@@ -97,7 +97,7 @@ pub enum Refusal {
     Live(String),
 }
 
-/// A value for a graph file and for the engine; or why it is none for this parameter.
+/// Converts a value for the graph file and for the engine, or returns why it does not fit this parameter.
 fn value_of(kind: &ParamKind, value: &ParameterValue) -> Result<(toml::Value, ParamValue), Refusal> {
     let whole = |value: &ParameterValue| match value {
         ParameterValue::Integer(number) => Some(*number),
@@ -153,7 +153,7 @@ fn is_within(value: &ParamValue, range: Option<(f64, f64)>) -> Result<(), Refusa
     if (low..=high).contains(&number) { Ok(()) } else { Err(Refusal::Range { low, high }) }
 }
 
-/// Sets one parameter. `Ok(false)`: it has this value already.
+/// Sets one parameter. `Ok(false)` if it already has this value.
 ///
 /// # Errors
 /// There is no such parameter, or it is refused.

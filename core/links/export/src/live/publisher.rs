@@ -13,12 +13,12 @@ use panoscope_engine::sync::lock;
 
 use crate::live::outputs::Output;
 
-/// Between two looks at previews: pictures of up to 200 a second pass.
+/// Time between two polls of previews; short enough for 200 frames per second.
 const STEP: Duration = Duration::from_millis(5);
-/// Without a subscriber.
+/// Time between two polls without a subscriber.
 const IDLE: Duration = Duration::from_millis(50);
 
-/// Gives the messages of a packet to the channels of its output.
+/// Sends the messages of a packet to the channels of its output.
 struct ToChannels<'o>(&'o Output);
 
 impl Messages for ToChannels<'_> {
@@ -56,7 +56,7 @@ pub fn run(outputs: &Mutex<Vec<Output>>, ends: &AtomicBool) {
     }
 }
 
-/// Damaged packets are left out: the nodes that read them report them.
+/// Publishes a packet. Damaged packets are skipped; the nodes that read them report them.
 fn publish(output: &Output, frame: &FrameRef) {
     let head = frame.frame();
     // A port of images may change its format from packet to packet.

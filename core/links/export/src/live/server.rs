@@ -21,18 +21,18 @@ use crate::live::outputs::{self, Output};
 use crate::live::parameters::{self, Request};
 use crate::live::{gate, publisher};
 
-/// How often it is looked whether the graph or its parameters have changed.
+/// Time between two checks for changes of the graph or its parameters.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// Messages that wait for a slow client; the oldest ones are dropped. A live change that adds more topics than this ends connections, and clients
-/// connect again.
+/// Maximum number of messages that wait for a slow client; the oldest are dropped. A live change that adds more topics
+/// than this ends connections, and clients reconnect.
 const BACKLOG: usize = 64;
-/// Requests to set parameters that wait for the run.
+/// Maximum number of waiting requests to set parameters.
 const MAX_REQUESTS: usize = 64;
 
-/// What a server offers.
+/// Settings of a server.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// Where it listens.
+    /// Address to listen on.
     pub address: Address,
     /// Whether clients may set parameters.
     pub may_set: bool,
@@ -43,7 +43,7 @@ pub struct Options {
 struct Shared {
     /// Outputs with their topics.
     outputs: Mutex<Vec<Output>>,
-    /// The server ends.
+    /// Whether the server must end.
     ends: AtomicBool,
     parameters: Mutex<BTreeMap<String, Parameter>>,
     requests: Mutex<Vec<Request>>,
@@ -51,7 +51,7 @@ struct Shared {
     refused: Arc<gate::Refused>,
 }
 
-/// Answers requests for parameters from what the run left.
+/// Answers requests for parameters with the values that the run published.
 struct Handler(Arc<Shared>);
 
 impl Handler {
@@ -93,9 +93,10 @@ pub struct FoxgloveServer {
     address: SocketAddr,
     shared: Arc<Shared>,
     context: Arc<Context>,
-    /// Where clients come in, and the server behind it. Clients wait until the first look at the graph: then all topics are told at once.
+    /// The public listener and the address of the server behind it. Clients wait until the first update of the graph,
+    /// after which all topics are announced at once.
     door: Option<(TcpListener, SocketAddr)>,
-    /// What was known of the graph at the last look.
+    /// The graph at the last check.
     known: Option<(Graph, Catalog)>,
     looked: Option<Instant>,
     publisher: Option<JoinHandle<()>>,
@@ -105,10 +106,10 @@ pub struct FoxgloveServer {
 }
 
 impl FoxgloveServer {
-    /// Begins to listen. Until the first [`Self::update`] there is nothing to see. `name` is that of the graph.
+    /// Begins to listen; topics appear with the first [`Self::update`]. `name` is that of the graph.
     ///
     /// # Errors
-    /// The address cannot be listened on.
+    /// The address cannot be used.
     pub fn start(name: &str, options: Options) -> Result<Self, LiveServerError> {
         let socket = options.address.socket();
         let listen = |cause| LiveServerError::Listen { address: socket, cause };
@@ -153,13 +154,13 @@ impl FoxgloveServer {
         })
     }
 
-    /// The address that it listens on; the port is the one that the system chose if 0 was asked for.
+    /// The address that it listens on; port 0 is replaced by the one that the system chose.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Takes over what there is to show and does what clients ask for. Call it several times a second, on the thread that takes previews. Returns
-    /// lines about parameters that clients set, about connections and about what was refused.
+    /// Publishes the current state and handles requests of clients. Call it several times a second, on the thread that
+    /// takes previews. Returns log lines about set parameters, connections and refusals.
     pub fn update<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Vec<String> {
         let mut lines = Vec::new();
         let now = Instant::now();
@@ -233,7 +234,7 @@ impl FoxgloveServer {
         }
     }
 
-    /// Takes previews of what is wanted, and gives the others up.
+    /// Subscribes to requested outputs and drops other previews.
     fn subscribe(&self, engine: &Engine) {
         let mut ended = Vec::new();
         for output in lock(&self.shared.outputs).iter_mut() {

@@ -1,4 +1,4 @@
-//! IMAGE: pixels or voxels with their place in space.
+//! IMAGE: pixels or voxels with their position in space.
 
 use crate::error::{IgtlError, Result};
 use crate::fields::{Fields, put_floats};
@@ -66,7 +66,7 @@ pub enum Endian {
     Little,
 }
 
-/// Coordinate system of the image's place.
+/// Coordinate system of the image's position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coordinates {
     /// Right, anterior, superior are positive.
@@ -101,7 +101,8 @@ pub struct Image<'a> {
 }
 
 impl<'a> Image<'a> {
-    /// A whole picture of one slice with square pixels of `pixel_mm`, whose first pixel is at the origin, x along columns, y along rows.
+    /// A complete image of one slice with square pixels of `pixel_mm`, whose first pixel is at the origin, x along
+    /// columns, y along rows.
     ///
     /// # Errors
     /// A side of more than 65,535 px.
@@ -220,7 +221,7 @@ impl<'a> Image<'a> {
         Ok(())
     }
 
-    /// Appends what stands before the pixels.
+    /// Appends the header of the pixels.
     fn encode_head(&self, out: &mut Vec<u8>) {
         out.extend_from_slice(&VERSION.to_be_bytes());
         let endian = if self.endian == Endian::Big { 1 } else { 2 };

@@ -1,4 +1,4 @@
-//! Whole messages, and what each type holds.
+//! Messages and the content of each type.
 
 mod image;
 mod poly_data;
@@ -25,11 +25,11 @@ pub use small::{
 pub const KINDS: [&str; 9] =
     ["IMAGE", "TRANSFORM", "POSITION", "POINT", "POLYDATA", "TDATA", "STATUS", "STRING", "CAPABILITY"];
 
-/// What a message holds.
+/// Content of a message.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Content<'a> {
-    /// IMAGE: pixels with their place in space.
+    /// IMAGE: pixels with their position in space.
     Image(Image<'a>),
     /// TRANSFORM: a linear transform.
     Transform(Transform),
@@ -41,7 +41,7 @@ pub enum Content<'a> {
     PolyData(PolyData<'a>),
     /// TDATA: tracked tools.
     Tracking(Tracking<'a>),
-    /// STATUS: how the sender is.
+    /// STATUS: state of the sender.
     Status(Status<'a>),
     /// STRING: a text.
     Text(Text<'a>),
@@ -49,14 +49,14 @@ pub enum Content<'a> {
     Capability(Capability<'a>),
     /// A request (`GET_`, `STT_`, `STP_`) or its answer (`RTS_`).
     Query(Query<'a>),
-    /// A message without content, as the answer to a request for data that is not there.
+    /// A message without content, such as the answer to a request for missing data.
     Nothing,
     /// A type that this crate does not know; receivers skip it.
     Other(&'a [u8]),
 }
 
 impl Content<'_> {
-    /// Name of the message type; `None` for types without one of their own: requests, unknown and empty messages.
+    /// Name of the message type; `None` for types without a fixed one: requests, unknown and empty messages.
     pub fn kind(&self) -> Option<&'static str> {
         match self {
             Self::Image(_) => Some("IMAGE"),
@@ -93,7 +93,8 @@ pub struct Message<'a> {
 }
 
 impl<'a> Message<'a> {
-    /// A message of header version 1 with the type of its content. Contents without a type of their own need [`Self::kind`] set.
+    /// A message of header version 1 with the type of its content. Contents without a fixed type need [`Self::kind`]
+    /// set.
     pub fn new(device: impl Into<Cow<'a, str>>, time: Timestamp, content: Content<'a>) -> Self {
         let kind = match &content {
             Content::Query(query) => Cow::Owned(query.name()),
@@ -106,7 +107,7 @@ impl<'a> Message<'a> {
     /// Reads a message that fills `bytes`. Does not compare the CRC; [`crate::Reader`] does.
     ///
     /// # Errors
-    /// The header is wrong, the body has another length than it says, or does not fit its type.
+    /// The header is invalid, the body's length differs from the header, or does not fit its type.
     pub fn decode(bytes: &'a [u8]) -> Result<Self> {
         let header = Header::decode(bytes)?;
         let body = bytes.get(HEADER_BYTES..).unwrap_or_default();
@@ -137,7 +138,7 @@ impl<'a> Message<'a> {
     /// Appends header and body.
     ///
     /// # Errors
-    /// A name that is too long, or more entries than a count can say; `out` then ends where it did before.
+    /// A name that is too long, or more entries than a count field can hold; `out` is then unchanged.
     pub fn encode(&self, out: &mut Vec<u8>) -> Result<()> {
         let start = out.len();
         let result = self.append(out, start);

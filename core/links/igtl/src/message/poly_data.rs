@@ -17,7 +17,7 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// One cell with one point for each of `points` points.
+    /// One single-point cell for each of `points` points.
     pub fn vertices(points: u32) -> Self {
         Self { words: (0..points).flat_map(|index| [1, index]).collect(), count: points }
     }
@@ -34,7 +34,7 @@ impl Cells {
         self.count as usize
     }
 
-    /// Whether there is none.
+    /// Whether there are no cells.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
@@ -87,13 +87,14 @@ impl Cells {
 /// Numbers for each point or each cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attribute<'a> {
-    /// What they are: 0 scalars, 1 vectors, 2 normals, 3 tensors, 4 colours (red, green, blue, alpha from 0 to 1), of points; 16 more of cells.
+    /// Kind: 0 scalars, 1 vectors, 2 normals, 3 tensors, 4 colours (red, green, blue, alpha from 0 to 1), of points; 16
+    /// more of cells.
     pub kind: u8,
     /// Numbers for one point or cell.
     pub components: u8,
     /// Name, at most 255 bytes without a zero.
     pub name: Cow<'a, str>,
-    /// All numbers, those of the first point or cell first.
+    /// All numbers, point by point or cell by cell.
     pub values: Vec<f32>,
 }
 

@@ -4,14 +4,14 @@ use crate::error::{IgtlError, Result};
 
 use super::small::TrackingStart;
 
-/// What a request wants, or how it was answered.
+/// Action of a request, or the answer to one.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verb<'a> {
     /// `GET_`: one message.
     Get,
-    /// `STT_`: messages from now on. The bytes are the type's own options; see [`Query::interval_ns`].
+    /// `STT_`: continuous messages. The bytes are the type's own options; see [`Query::interval_ns`].
     Start(&'a [u8]),
-    /// `STT_TDATA`: tracked tools from now on.
+    /// `STT_TDATA`: continuous tracking data.
     StartTracking(TrackingStart<'a>),
     /// `STP_`: no more messages.
     Stop,
@@ -25,7 +25,7 @@ pub enum Verb<'a> {
 /// A request or its answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Query<'a> {
-    /// What it wants.
+    /// Action or answer.
     pub verb: Verb<'a>,
     /// Message type as requests name it; see [`query_name`].
     pub kind: String,
@@ -64,7 +64,7 @@ impl<'a> Query<'a> {
         super::KINDS.into_iter().find(|kind| query_name(kind) == self.kind)
     }
 
-    /// Least time between messages that a start asks for, ns; 0 where it does not say.
+    /// Minimum time between messages that a start requests, ns; 0 if it has none.
     pub fn interval_ns(&self) -> u64 {
         match &self.verb {
             Verb::StartTracking(start) => u64::from(start.interval_ms.max(0) as u32) * 1_000_000,
@@ -79,7 +79,7 @@ impl<'a> Query<'a> {
         }
     }
 
-    /// Reads the content of a message of type `name`; `None` when it is no request.
+    /// Reads the content of a message of type `name`; `None` if it is not a request.
     pub(super) fn decode(name: &str, bytes: &'a [u8]) -> Result<Option<Self>> {
         let Some(prefix) = PREFIXES.into_iter().find(|prefix| name.starts_with(prefix)) else { return Ok(None) };
         let kind = name[prefix.len()..].to_owned();

@@ -10,7 +10,7 @@ use crate::metadata::encoding;
 /// TRANSFORM: a linear transform of 3-D space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transform {
-    /// Columns of the 3 x 3 matrix: where the axes go.
+    /// Columns of the 3 x 3 matrix: the images of the axes.
     pub columns: [[f32; 3]; 3],
     /// Translation, mm.
     pub translation_mm: [f32; 3],
@@ -57,7 +57,8 @@ impl Transform {
         }
     }
 
-    /// The unit quaternion w, x, y, z of the rotation, w not negative; `None` unless the matrix is a rotation to within 1e-3.
+    /// The unit quaternion w, x, y, z of the rotation, w not negative; `None` unless the matrix is a rotation to within
+    /// 1e-3.
     pub fn quaternion(&self) -> Option<[f64; 4]> {
         const TOLERANCE: f64 = 1e-3;
         let c = self.columns.map(|column| column.map(f64::from));
@@ -99,10 +100,10 @@ impl Transform {
     }
 }
 
-/// How POSITION says an orientation.
+/// Orientation in a POSITION message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Orientation {
-    /// It does not.
+    /// No orientation.
     None,
     /// x, y, z of a unit quaternion whose w is not negative.
     Xyz([f32; 3]),
@@ -143,7 +144,7 @@ impl Position {
         }
     }
 
-    /// The orientation as a unit quaternion w, x, y, z; `None` where there is none, or one without length.
+    /// The orientation as a unit quaternion w, x, y, z; `None` if there is none or its length is 0.
     pub fn quaternion(&self) -> Option<[f64; 4]> {
         let wxyz = match self.orientation {
             Orientation::None => return None,
@@ -163,7 +164,7 @@ impl Position {
 pub struct Point<'a> {
     /// Name, at most 64 bytes.
     pub name: Cow<'a, str>,
-    /// What kind of point it is, such as `Landmark` or `Fiducial`; at most 32 bytes.
+    /// Kind of the point, such as `Landmark` or `Fiducial`; at most 32 bytes.
     pub group: Cow<'a, str>,
     /// Red, green, blue, alpha.
     pub rgba: [u8; 4],
@@ -215,7 +216,7 @@ fn each<'a, T>(
     bytes.chunks_exact(item_bytes).map(|item| read(&mut Fields::new(kind, item))).collect()
 }
 
-/// What is known of a tracked tool.
+/// Kind of a tracked tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ToolKind {
     /// A tracker itself.
@@ -226,7 +227,7 @@ pub enum ToolKind {
     ThreeD,
     /// Tip and direction, without the turn about it.
     FiveD,
-    /// A number that the protocol does not name.
+    /// A number without a meaning in the protocol.
     Other(u8),
 }
 
@@ -257,7 +258,7 @@ impl ToolKind {
 pub struct Tool<'a> {
     /// Name, at most 20 bytes.
     pub name: Cow<'a, str>,
-    /// What is known of it.
+    /// Kind of the tool.
     pub kind: ToolKind,
     /// Its pose.
     pub pose: Transform,
@@ -294,10 +295,10 @@ impl<'a> Tracking<'a> {
     }
 }
 
-/// What STT_TDATA asks for.
+/// Options of STT_TDATA.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackingStart<'a> {
-    /// Least time between two messages, ms; 0 is as fast as possible.
+    /// Minimum time between two messages, ms; 0 is as fast as possible.
     pub interval_ms: i32,
     /// Coordinate system; empty for the sender's own. At most 32 bytes.
     pub coordinates: Cow<'a, str>,
@@ -323,11 +324,11 @@ impl<'a> TrackingStart<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
 pub enum StatusCode {
-    /// All is well.
+    /// No error.
     Ok = 1,
-    /// An error without a number of its own.
+    /// An error without a specific number.
     UnknownError = 2,
-    /// What was asked for does not exist.
+    /// The requested data does not exist.
     NotFound = 4,
     /// A message was damaged.
     ChecksumError = 9,
@@ -335,20 +336,20 @@ pub enum StatusCode {
     UnknownInstruction = 12,
     /// Starting up.
     NotReady = 13,
-    /// Leaving.
+    /// Shutting down.
     ShuttingDown = 19,
 }
 
-/// STATUS: how the sender is.
+/// STATUS: state of the sender.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Status<'a> {
     /// Number of the state: 1 is well, see [`StatusCode`].
     pub code: u16,
-    /// A number of the device's own.
+    /// A device-specific number.
     pub sub_code: i64,
     /// Name of the error, at most 20 bytes.
     pub name: Cow<'a, str>,
-    /// A sentence for people.
+    /// A message for the user.
     pub text: Cow<'a, str>,
 }
 

@@ -1,6 +1,6 @@
-//! What can be read from an access unit without decoding it: whether it is damaged, and whether the pictures from it on need nothing before it.
+//! Checks of an access unit without decoding: whether it is damaged, and whether decoding can begin with it.
 
-/// How the codec separates its units.
+/// Separation of the codec's units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
     /// H.264.
@@ -9,7 +9,7 @@ pub enum Codec {
     H265,
 }
 
-/// Units of an access unit: behind start codes, or each behind its length of `length_bytes` bytes.
+/// Units of an access unit: after start codes, or each after its length of `length_bytes` bytes.
 fn units(bytes: &[u8], length_bytes: Option<usize>) -> Vec<&[u8]> {
     let mut found = Vec::new();
     match length_bytes {
@@ -36,7 +36,8 @@ fn units(bytes: &[u8], length_bytes: Option<usize>) -> Vec<&[u8]> {
     found
 }
 
-/// Whether a supplemental unit of H.264 announces that the stream can be entered exactly here (recovery point, no frames to wait for).
+/// Whether a supplemental unit of H.264 announces that decoding can begin exactly here (recovery point, no frames to
+/// wait for).
 fn is_recovery_point(payload: &[u8]) -> bool {
     let mut rest = payload;
     let number = |rest: &mut &[u8]| {
@@ -62,7 +63,8 @@ fn is_recovery_point(payload: &[u8]) -> bool {
     false
 }
 
-/// Whether an access unit begins a group of pictures that needs nothing before it. Pictures that are shown before it may still need that.
+/// Whether an access unit begins a group of images that depends on no earlier data. Images that are shown before it
+/// may still depend on earlier data.
 pub fn is_key(codec: Codec, bytes: &[u8], length_bytes: Option<usize>) -> bool {
     units(bytes, length_bytes).into_iter().any(|unit| match (codec, unit) {
         (Codec::H264, [header, payload @ ..]) => match header & 0x1F {
@@ -75,8 +77,8 @@ pub fn is_key(codec: Codec, bytes: &[u8], length_bytes: Option<usize>) -> bool {
     })
 }
 
-/// Whether an access unit cannot be whole: its units do not fill it, or hold bytes that the codecs' emulation prevention rules out, as zeroed and
-/// shifted data do.
+/// Whether an access unit is damaged: its units do not fill it, or contain bytes that the codecs' emulation prevention
+/// excludes, as in zeroed and shifted data.
 pub fn is_broken(codec: Codec, bytes: &[u8], length_bytes: Option<usize>) -> bool {
     let units = units(bytes, length_bytes);
     let is_filled = length_bytes.is_none_or(|length_bytes| {

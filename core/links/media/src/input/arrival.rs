@@ -1,16 +1,17 @@
-//! When pictures arrived at this machine.
+//! Arrival times of images at this machine.
 //!
-//! A probe at the output of every live source notes by the monotonic clock when the data with each presentation time entered the pipeline.
-//! Queues, jitter and decoding come later, so they are part of a picture's age. A source's own stamp (the driver's, or the one of RTP's jitter
-//! buffer) is more exact than the probe, and is taken where it agrees with the probe. A camera that counts `1 / rate` steps at another rate
-//! than it has disagrees soon, and the probe's time stands.
+//! A probe at the output of every live source records, by the monotonic clock, when the data with each presentation
+//! time entered the pipeline. Queues, jitter and decoding come later, so they are part of an image's age. A source's
+//! own stamp (the driver's, or the one of RTP's jitter buffer) is more exact than the probe, and is used if it agrees
+//! with the probe. The stamps of a camera that counts `1 / rate` steps at a wrong rate soon disagree, and the probe's
+//! time is used.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
-/// Stamps that are kept: 30 s at 60 pictures per second.
+/// Stamps that are kept: 30 s at 60 frames per second.
 const KEPT: usize = 2048;
-/// A stamp may be this much earlier than the probe's time: exposure, transfer and a busy machine.
+/// Maximum time by which a stamp may precede the probe's time: exposure, transfer and a busy machine.
 const MAX_LAG_NS: i64 = 60_000_000;
 
 /// Stamps of one pipeline's sources: presentation time and arrival, ns.
@@ -18,8 +19,8 @@ const MAX_LAG_NS: i64 = 60_000_000;
 pub struct Arrivals(Mutex<VecDeque<(u64, i64)>>);
 
 impl Arrivals {
-    /// Notes that data of presentation time `pts_ns` entered the pipeline at `now_ns`; `stamp_ns` is the source's own time for it. Of several
-    /// buffers with one time, such as the packets of a picture, the first counts.
+    /// Records that data of presentation time `pts_ns` entered the pipeline at `now_ns`; `stamp_ns` is the source's own
+    /// time for it. Of several buffers with one time, such as the packets of an image, the first is used.
     pub fn note(&self, pts_ns: u64, stamp_ns: Option<i64>, now_ns: i64) {
         let mut stamps = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if stamps.back().is_some_and(|(last, _)| *last == pts_ns) {
@@ -32,7 +33,7 @@ impl Arrivals {
         stamps.push_back((pts_ns, stamp_ns.filter(agrees).unwrap_or(now_ns)));
     }
 
-    /// Arrival of the picture of presentation time `pts_ns`; `None` when no source gave data with this time.
+    /// Arrival of the image of presentation time `pts_ns`; `None` if no source had data with this time.
     pub fn of(&self, pts_ns: u64) -> Option<i64> {
         let stamps = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         stamps.iter().rev().find(|(pts, _)| *pts == pts_ns).map(|(_, arrived)| *arrived)

@@ -9,9 +9,9 @@ use super::{InputName, Shared, YUV_FORMATS};
 use crate::MediaError;
 use crate::elements::make;
 
-/// Longest that RTP packets that came out of order are waited for.
+/// Maximum wait for RTP packets that are out of order, ms.
 const JITTER_MS: u32 = 100;
-/// Longest wait for an answer of an RTSP server, and for its UDP packets before TCP is tried, us.
+/// Maximum wait for an answer of an RTSP server, and for its UDP packets before TCP is tried, us.
 const RTSP_ANSWER_US: u64 = 2_000_000;
 const RTSP_UDP_US: u64 = 1_000_000;
 
@@ -21,7 +21,7 @@ pub(super) struct Built {
     pub sink: AppSink,
 }
 
-/// What a decoder leaves as it is: JPEGs stay undecoded, so that damage in them is seen.
+/// Formats that a decoder leaves unchanged: JPEGs stay undecoded, so that damage can be detected.
 fn wanted() -> gst::Caps {
     [gst::Structure::new_empty("image/jpeg"), gst::Structure::new_empty("video/x-raw")].into_iter().collect()
 }
@@ -32,7 +32,7 @@ fn app_sink() -> Result<AppSink, MediaError> {
     sink.downcast::<AppSink>().map_err(broken)
 }
 
-/// Sets what GStreamer's sources and demuxers leave unsuited to live pictures.
+/// Configures GStreamer's sources and demuxers for live video.
 pub(super) fn configure(element: &gst::Element) {
     let Some(factory) = element.factory() else { return };
     match factory.name().as_str() {
@@ -152,7 +152,7 @@ fn from_uri(uri: &str, shared: &std::sync::Arc<Shared>) -> Result<Built, MediaEr
     Ok(built)
 }
 
-/// The camera's mode that is nearest to the one asked for, read while the device is open but does not stream.
+/// The camera's mode that is nearest to the requested one, read while the device is open but does not stream.
 fn camera_mode(source: &gst::Element, mode: CameraMode) -> gst::Caps {
     if mode == CameraMode::default() || source.set_state(gst::State::Ready).is_err() {
         return modes::readable();
@@ -163,7 +163,7 @@ fn camera_mode(source: &gst::Element, mode: CameraMode) -> gst::Caps {
 
 const DECODER: &str = "panoscope_decoder";
 
-/// A text in the terms of `gst-launch-1.0`. Without an appsink of its own, whatever it ends in is decoded.
+/// A pipeline in the syntax of `gst-launch-1.0`. Its output is decoded unless it has its own appsink.
 fn from_text(text: &str, shared: &std::sync::Arc<Shared>) -> Result<Built, MediaError> {
     let refused = |error: gst::glib::Error| MediaError::Refused { reason: error.message().to_owned() };
     let parsed = |text: &str| {

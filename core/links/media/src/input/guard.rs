@@ -1,7 +1,7 @@
-//! Marks the pictures that a decoder makes from damaged data.
+//! Marks the images that a decoder makes from damaged data.
 //!
-//! Damage is data that is missing (a discontinuity), that is flagged by the source, or that the decoder complains about. A picture of a codec
-//! that predicts is right again from the next key picture on; until then everything that is decoded is marked. Marked buffers carry
+//! Damaged data is missing (a discontinuity), flagged by the source, or reported by the decoder. Images of a predictive
+//! codec are correct again from the next keyframe on; until then all decoded images are marked. Marked buffers carry
 //! `GST_BUFFER_FLAG_CORRUPTED`; their times are kept as well, because some elements do not pass the flag on.
 
 use std::collections::BTreeSet;
@@ -15,9 +15,9 @@ use super::access_unit::{self, Codec};
 use super::jpeg;
 use super::libav_log::{self, DamageReport};
 
-/// Times of marked pictures that are kept.
+/// Times of marked images that are kept.
 const KEPT: usize = 1024;
-/// Longest text of a decoder that is passed on.
+/// Maximum length of a decoder's message that is passed on.
 const MAX_REASON: usize = 120;
 
 /// How a decoder's input shows where decoding can begin.
@@ -27,7 +27,7 @@ enum Format {
     Units(Codec, Option<usize>),
     /// Every buffer is one JPEG.
     Jpeg,
-    /// As GStreamer's flags say.
+    /// Wherever GStreamer's flags allow it.
     #[default]
     Flags,
 }
@@ -36,9 +36,9 @@ enum Format {
 struct Span {
     format: Format,
     has_begun: bool,
-    /// Why what is decoded now is damaged.
+    /// Reason why the data that is decoded now is damaged.
     damage: Option<String>,
-    /// Pictures to be shown before this time need what came before the last key picture.
+    /// Images shown before this time depend on data before the last keyframe.
     clean_from_ns: u64,
     /// Time of the access unit that is decoded now.
     decoding_ns: Option<u64>,
@@ -50,13 +50,13 @@ struct Span {
 /// The guard of one decoder.
 pub struct Guard {
     span: Mutex<Span>,
-    /// Anything was marked since the pipeline began.
+    /// Whether anything was marked since the pipeline began.
     has_marks: Arc<AtomicBool>,
     complaints: AtomicU64,
     on_failure: FailFn,
 }
 
-/// Takes the reason why a decoder cannot go on.
+/// Receives the reason why a decoder cannot go on.
 type FailFn = Box<dyn Fn(&str) + Send + Sync>;
 
 impl Guard {
@@ -86,7 +86,7 @@ impl Guard {
         self.has_marks.store(true, Ordering::Release);
     }
 
-    /// Why the picture of this time is damaged.
+    /// The reason why the image of this time is damaged.
     pub fn reason_of(&self, pts_ns: u64) -> Option<String> {
         let span = self.span();
         span.bad.contains(&pts_ns).then(|| span.reason.clone())
@@ -113,7 +113,7 @@ impl Guard {
         };
     }
 
-    /// Notes what the decoder is given next.
+    /// Records the next input of the decoder.
     fn before(&self, buffer: &gst::BufferRef) {
         let mut span = self.span();
         let pts_ns = buffer.pts().map(gst::ClockTime::nseconds);
@@ -159,7 +159,7 @@ impl Guard {
         }
     }
 
-    /// Whether what the decoder returns is damaged.
+    /// Whether the decoder's output is damaged.
     fn is_bad(&self, pts: Option<gst::ClockTime>) -> bool {
         let span = self.span();
         match pts {
@@ -168,7 +168,7 @@ impl Guard {
         }
     }
 
-    /// After a seek what comes has nothing to do with what was.
+    /// Resets the state after a seek.
     fn flush(&self) {
         let mut span = self.span();
         span.has_begun = false;
@@ -212,7 +212,7 @@ pub struct Guards {
 }
 
 impl Guards {
-    /// Why the picture of this time is damaged.
+    /// The reason why the image of this time is damaged.
     pub fn reason_of(&self, pts_ns: Option<u64>) -> Option<String> {
         if !self.has_marks.load(Ordering::Acquire) {
             return None;
@@ -274,7 +274,8 @@ impl Guards {
         });
     }
 
-    /// A warning of `element`, which may be a guarded decoder: what it decodes now is damaged. Called on the thread that reports it.
+    /// A warning of `element`, which may be a guarded decoder: marks its current data as damaged. Called on the thread
+    /// that reports it.
     pub fn warned(&self, element: &gst::Object, words: &str) {
         let class = element.downcast_ref::<gst::Element>().and_then(|element| element.factory());
         let is_decoder = class.is_some_and(|factory| factory.metadata("klass").is_some_and(|k| k.contains("Decoder")));

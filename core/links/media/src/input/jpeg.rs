@@ -1,7 +1,10 @@
-//! Checks that a JPEG is whole.
+//! Checks that a JPEG is complete.
 //!
-//! Decoders fill missing parts of a damaged file with gray, or leave the memory unchanged, which holds the previous picture. So the file is read
-//! marker by marker first, and a file without its end marker is refused. [`check`] reads the coded data, too.
+//!
+//!
+//! Decoders fill missing parts of a damaged file with gray, or leave the memory unchanged, which holds the previous
+//! image. So the file is read marker by marker first, and a file without its end marker is refused. [`check`] reads
+//! the coded data, too.
 
 use std::borrow::Cow;
 
@@ -17,9 +20,9 @@ const DHT: u8 = 0xC4;
 /// Positions of a JPEG's markers, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Markers {
-    /// Behind the end marker.
+    /// Offset after the end marker.
     end: usize,
-    /// Where the first scan begins.
+    /// Offset of the first scan.
     first_scan: usize,
     /// Whether the file has Huffman tables.
     has_tables: bool,
@@ -28,7 +31,7 @@ struct Markers {
 /// Reads the markers.
 ///
 /// # Errors
-/// What is missing.
+/// The JPEG is incomplete.
 fn markers(bytes: &[u8]) -> Result<Markers, JpegError> {
     let cut = |bytes: usize| JpegError::CutOff { bytes };
     if bytes.get(..2) != Some(&[0xFF, SOI]) {
@@ -69,10 +72,11 @@ fn markers(bytes: &[u8]) -> Result<Markers, JpegError> {
     }
 }
 
-/// The bytes of one whole JPEG: without what follows its end, and with the standard Huffman tables where it has none, as in Motion JPEG.
+/// The bytes of one complete JPEG: without bytes after its end, and with the standard Huffman tables if it has none, as
+/// in Motion JPEG.
 ///
 /// # Errors
-/// A JPEG that is not whole.
+/// The JPEG is incomplete.
 pub fn whole(bytes: &[u8]) -> Result<Cow<'_, [u8]>, JpegError> {
     let found = markers(bytes)?;
     if found.has_tables {
@@ -82,10 +86,10 @@ pub fn whole(bytes: &[u8]) -> Result<Cow<'_, [u8]>, JpegError> {
     Ok(Cow::Owned([head, &standard_tables(), rest].concat()))
 }
 
-/// Reads markers and coded data without decoding a picture.
+/// Reads markers and coded data without decoding an image.
 ///
 /// # Errors
-/// A JPEG that is not whole, or whose coded data are damaged.
+/// The JPEG is incomplete, or its coded data are damaged.
 pub fn check(bytes: &[u8]) -> Result<(), JpegError> {
     let bytes = whole(bytes)?;
     let (mut at, mut segments) = (2, Vec::new());
@@ -113,7 +117,7 @@ pub fn check(bytes: &[u8]) -> Result<(), JpegError> {
     Err(JpegError::NoPicture)
 }
 
-/// Where the scan that begins at `start` ends: before the next marker, and before fill bytes in front of it.
+/// End of the scan that begins at `start`: before the next marker, and before fill bytes in front of it.
 fn scan_end(bytes: &[u8], start: usize) -> usize {
     let mut at = start;
     while let Some(found) = bytes[at..].iter().position(|byte| *byte == 0xFF) {

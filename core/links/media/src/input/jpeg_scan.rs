@@ -1,7 +1,8 @@
 //! Reads the entropy-coded data of a JPEG without decoding it.
 //!
-//! A flipped bit mostly makes codes that the tables do not have, blocks with too many coefficients, or a scan with too few or too many blocks.
-//! Decoders tolerate all of these. A flipped bit in a coefficient's value is not found here; nothing in a JPEG can show it.
+//! A flipped bit usually produces codes that the tables do not have, blocks with too many coefficients, or a scan with
+//! too few or too many blocks. Decoders tolerate all of these. A flipped bit in a coefficient's value is not found
+//! here; nothing in a JPEG can show it.
 
 use super::jpeg_error::JpegError;
 
@@ -12,7 +13,7 @@ const MAX_COMPONENTS: usize = 4;
 struct Table {
     /// For the next 9 bits: symbol and length; length 0 for a longer code.
     short: Vec<(u8, u8)>,
-    /// By length 1..=16: one past the largest code, aligned to 16 bits, and what to add to a code for its symbol's index.
+    /// By length 1..=16: one past the largest code, aligned to 16 bits.
     limit: [u32; 17],
     offset: [i32; 17],
     symbols: Vec<u8>,
@@ -47,7 +48,7 @@ impl Table {
     }
 }
 
-/// One component of the picture.
+/// One component of the image.
 #[derive(Clone, Copy, Default)]
 struct Component {
     id: u8,
@@ -63,7 +64,7 @@ struct Bits<'b> {
     at: usize,
     buffer: u64,
     count: u32,
-    /// Bits that were read beyond the end.
+    /// Number of bits that were read beyond the end.
     missing: u32,
 }
 
@@ -121,7 +122,7 @@ impl<'b> Bits<'b> {
         if value < 1 << (bits - 1) { value - (1 << bits) + 1 } else { value }
     }
 
-    /// At the end of an interval: nothing was read beyond, and nothing is left but padding.
+    /// Whether, at the end of an interval, exactly all bits but padding were read.
     fn is_used_up(&self) -> bool {
         let Some(left) = self.count.checked_sub(self.missing) else { return false };
         // Cameras fill up to a word, with ones or zeros.
@@ -152,8 +153,8 @@ fn intervals(scan: &[u8]) -> Option<Vec<&[u8]>> {
     Some(found)
 }
 
-/// Reads all blocks of a baseline JPEG of one scan, given as its segments (marker and content) and the bytes of its scan. JPEGs of other kinds
-/// pass: they are left to the decoder.
+/// Reads all blocks of a baseline JPEG of one scan, given as its segments (marker and content) and the bytes of its
+/// scan. JPEGs of other kinds are accepted and left to the decoder.
 ///
 /// # Errors
 /// [`JpegError::Broken`].

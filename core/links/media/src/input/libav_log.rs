@@ -1,11 +1,15 @@
-//! What FFmpeg's decoders say about damage, and about pixels that GStreamer has no format for.
+//! Reads FFmpeg's log for damage, and for pixels that GStreamer has no format for.
 //!
-//! FFmpeg conceals missing parts of a picture with those of the picture before. GStreamer's elements around it pass such a picture on without a
-//! flag, an error, or a message; FFmpeg's log is the only place where it is said. The elements send that log to GStreamer's category `libav` on
-//! the thread that decodes, so every guarded decoder decodes on one thread, and its guard is the thread's.
 //!
-//! GStreamer 1.22 describes a pool of pictures of an unknown format with memory that it has not initialised, and mostly crashes. A failed
-//! assertion comes before that: the thread of the decoder stops there for ever, and its pipeline is left behind.
+//!
+//! FFmpeg conceals missing parts of an image with those of the previous one. GStreamer's elements around it pass such
+//! an image on without a flag, an error, or a message; only FFmpeg's log reports it. The elements send that log to
+//! GStreamer's category `libav` on the thread that decodes, so every guarded decoder decodes on one thread, and its
+//! guard is the thread's.
+//!
+//! GStreamer 1.22 describes a pool of images of an unknown format with memory that it has not initialised, and mostly
+//! crashes. A failed assertion comes before that: the thread of the decoder stops there for ever, and its pipeline is
+//! left behind.
 
 use std::cell::{Cell, RefCell};
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
@@ -16,12 +20,12 @@ use gstreamer as gst;
 use gstreamer::ffi;
 use gstreamer::glib::{LogLevel, LogLevels};
 
-/// Receives what a decoder logs about damage.
+/// Receives a decoder's messages about damage.
 pub trait DamageReport: Send + Sync {
-    /// Takes one message of the decoder.
+    /// Receives one message of the decoder.
     fn report(&self, message: &str);
 
-    /// The decoder cannot go on, and why.
+    /// Receives the reason why the decoder cannot go on.
     fn fail(&self, reason: &str);
 }
 
@@ -32,14 +36,14 @@ thread_local! {
     static UNKNOWN_PIXELS: Cell<Option<c_int>> = const { Cell::new(None) };
 }
 
-/// What GStreamer's elements write before the number of a pixel format that has no counterpart.
+/// Text that GStreamer's elements write before the number of a pixel format that has no counterpart.
 const UNKNOWN: &str = "Unknown pixel format ";
 
 /// The category `libav`, and the threshold that the user set for it.
 static CATEGORY: AtomicPtr<ffi::GstDebugCategory> = AtomicPtr::new(std::ptr::null_mut());
 static THRESHOLD: AtomicI32 = AtomicI32::new(0);
 
-/// Gives what this thread's decoder logs from now on to `guard`.
+/// Passes further messages of this thread's decoder to `guard`.
 pub fn attend<R: DamageReport + 'static>(guard: &Arc<R>) {
     DECODING.with_borrow_mut(|current| {
         if !current.as_ref().is_some_and(|other| std::ptr::addr_eq(Arc::as_ptr(other), Arc::as_ptr(guard))) {
@@ -84,7 +88,7 @@ unsafe extern "C" fn received(
     }
 }
 
-/// Receives FFmpeg's log from now on. What the user asked for with `GST_DEBUG` is still printed.
+/// Installs the handler of FFmpeg's log. Messages enabled with `GST_DEBUG` are still printed.
 pub fn install() {
     static INSTALLED: OnceLock<()> = OnceLock::new();
     INSTALLED.get_or_init(|| {

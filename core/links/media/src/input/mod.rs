@@ -1,7 +1,8 @@
-//! Video in: cameras, files, addresses and pipelines as a queue of pictures.
+//! Video in: cameras, files, addresses and pipelines as a queue of images.
 //!
-//! An [`Input`] runs one pipeline. Its decoders and the reader's conversion run on GStreamer's threads; pictures wait in a bounded [`Queue`].
-//! Pictures made from damaged data are marked ([`guard`]), and every picture has the time at which it arrived at this machine ([`arrival`]).
+//! An [`Input`] runs one pipeline. Its decoders and the reader's conversion run on GStreamer's threads; images wait in
+//! a bounded [`Queue`]. Images made from damaged data are marked ([`guard`]), and every image has the time at which it
+//! arrived at this machine ([`arrival`]).
 
 mod access_unit;
 mod arrival;
@@ -32,13 +33,14 @@ use guard::Guards;
 pub use modes::CameraMode;
 pub use queue::{End, Item, Policy, Queue, Signal};
 
-/// Formats of luma and chroma that come as they were decoded; [`crate::yuv_to_bgr`] converts them. Other formats come as BGR or GRAY16_LE.
+/// Formats of luma and chroma that are delivered as decoded; [`crate::yuv_to_bgr`] converts them. Other formats are
+/// converted to BGR or GRAY16_LE.
 pub const YUV_FORMATS: [&str; 9] = ["I420", "YV12", "NV12", "NV21", "Y42B", "Y444", "YUY2", "UYVY", "YVYU"];
 
-/// Longest wait for a pipeline to stop; then it is left to its thread.
+/// Maximum wait for a pipeline to stop; then its thread is abandoned.
 const CLOSE_LIMIT: Duration = Duration::from_secs(2);
 
-/// What is opened.
+/// The input to open.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum InputName {
     /// A V4L2 device.
@@ -47,24 +49,24 @@ pub enum InputName {
     File(PathBuf),
     /// An address, such as `rtsp://...`.
     Address(String),
-    /// A pipeline in the terms of `gst-launch-1.0`.
+    /// A pipeline in the syntax of `gst-launch-1.0`.
     Text(String),
 }
 
-/// How it is opened.
+/// Options for opening an input.
 #[derive(Clone, Debug)]
 pub struct InputOptions {
-    /// Mode asked of a camera.
+    /// Requested mode of a camera.
     pub mode: CameraMode,
-    /// No picture of a live source is dropped either: it waits for its reader.
+    /// Whether frames of live sources are kept too: the source waits for its reader.
     pub is_lossless: bool,
-    /// Pictures that may wait.
+    /// Maximum number of waiting frames.
     pub capacity: usize,
-    /// Longest wait for the first picture.
+    /// Maximum wait for the first frame.
     pub limit: Duration,
 }
 
-/// What a stream says about its pictures.
+/// Properties of a stream's images.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Format {
     /// Media type, such as `image/jpeg`.
@@ -73,21 +75,21 @@ pub struct Format {
     pub width: usize,
     /// Rows, px.
     pub height: usize,
-    /// Pictures per second, where the stream has a rate.
+    /// Frames per second, if the stream has a rate.
     pub fps: Option<f64>,
     /// Width and height of a pixel; 1, 1 for square ones.
     pub pixel_aspect: (i32, i32),
-    /// The stream has fields, which are made whole pictures.
+    /// Whether the stream is interlaced; its fields are combined into frames.
     pub is_interlaced: bool,
-    /// How its pictures are to be turned to be shown, as EXIF counts: 1 is as they are.
+    /// EXIF orientation of its images; 1 is upright.
     pub exif_orientation: u8,
 }
 
-/// What the pipeline's threads and its reader share, whatever the reader makes of samples.
+/// State shared by the pipeline's threads and its reader, independent of the type of items.
 pub(crate) struct Shared {
     format: Mutex<Format>,
     guards: Guards,
-    /// Latest end of a picture, by the container's clock, ns.
+    /// Latest end of an image, by the container's clock, ns.
     reached_ns: AtomicU64,
     arrivals: Arrivals,
     failure: Mutex<Option<String>>,
@@ -99,7 +101,7 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Shared {
-    /// The first failure is the cause of those that follow.
+    /// Records a failure; only the first is kept, because it causes the later ones.
     fn fail(&self, words: String) {
         let mut failure = locked(&self.failure);
         if failure.is_none() {
@@ -157,7 +159,7 @@ impl Shared {
         }
     }
 
-    /// Notes when data leaves a source.
+    /// Records when data leaves a source.
     fn stamp(self: &Arc<Self>, pipeline: &gst::glib::WeakRef<gst::Pipeline>, pad: &gst::Pad) {
         let (shared, pipeline) = (Arc::downgrade(self), pipeline.clone());
         let kinds = gst::PadProbeType::BUFFER | gst::PadProbeType::BUFFER_LIST;
@@ -190,17 +192,17 @@ pub fn monotonic_ns() -> i64 {
     nanos(gst::SystemClock::obtain().time())
 }
 
-/// One sample, as its reader gets it on the pipeline's thread.
+/// One sample, passed to the reader on the pipeline's thread.
 pub struct Received<'s> {
     /// Buffer, caps and segment.
     pub sample: &'s gst::Sample,
-    /// Why the picture must not be shown.
+    /// The reason why the image must not be shown.
     pub damage: Option<String>,
-    /// How the stream's pictures are to be turned, as EXIF counts; 0 where it does not say.
+    /// EXIF orientation of the stream's images; 0 if unknown.
     pub exif_orientation: u8,
 }
 
-/// A running pipeline and what its reader made of its samples.
+/// A running pipeline and the items made of its samples.
 pub struct Input<T: Send + 'static> {
     pipeline: gst::Pipeline,
     shared: Arc<Shared>,
@@ -209,10 +211,13 @@ pub struct Input<T: Send + 'static> {
 }
 
 impl<T: Send + 'static> Input<T> {
-    /// Starts `name` and waits for its first picture. `convert` runs on the pipeline's thread; `signal` is notified of every picture.
+    /// Starts `name` and waits for its first image. `convert` runs on the pipeline's thread; `signal` is notified of
+    /// every frame.
+    ///
+    ///
     ///
     /// # Errors
-    /// An element is missing, refuses its setting, or fails; nothing comes within the limit.
+    /// An element is missing, refuses its setting, or fails; no frame arrives within the limit.
     pub fn open(
         name: &InputName,
         options: &InputOptions,
@@ -359,27 +364,27 @@ impl<T: Send + 'static> Input<T> {
         Ok(self)
     }
 
-    /// Whether pictures come at the source's pace.
+    /// Whether frames arrive at the source's pace.
     pub fn is_live(&self) -> bool {
         self.is_live
     }
 
-    /// The pictures.
+    /// The queue of frames.
     pub fn queue(&self) -> &Queue<T> {
         &self.queue
     }
 
-    /// What the stream says about its pictures.
+    /// Properties of the stream's images.
     pub fn format(&self) -> Format {
         locked(&self.shared.format).clone()
     }
 
-    /// Length of the stream, where it is known.
+    /// Length of the stream, if it is known.
     pub fn duration(&self) -> Option<Duration> {
         self.pipeline.query_duration::<gst::ClockTime>().map(|time| Duration::from_nanos(time.nseconds()))
     }
 
-    /// Latest end of a picture so far, by the container's clock, which need not begin at 0.
+    /// Latest end of an image so far, by the container's clock, which need not begin at 0.
     pub fn reached(&self) -> Duration {
         Duration::from_nanos(self.shared.reached_ns.load(Ordering::Relaxed))
     }
@@ -389,12 +394,12 @@ impl<T: Send + 'static> Input<T> {
         self.shared.guards.has_marks()
     }
 
-    /// Number of pictures, where the container counts them.
+    /// Number of images, if the container states it.
     pub fn pictures(&self) -> Option<u64> {
         self.pipeline.query_duration::<gst::format::Default>().map(|count| *count).filter(|count| *count > 0)
     }
 
-    /// Goes to the picture at `time`, exactly; the next one that comes is number `number`. Returns whether the stream can.
+    /// Seeks exactly to the frame at `time`; the next frame gets number `number`. Returns whether the stream can seek.
     pub fn seek(&self, time: Duration, number: u64) -> bool {
         let flags = gst::SeekFlags::FLUSH | gst::SeekFlags::ACCURATE;
         let time = gst::ClockTime::from_nseconds(u64::try_from(time.as_nanos()).unwrap_or(u64::MAX - 1));
@@ -426,7 +431,7 @@ impl<T: Send + 'static> Drop for Input<T> {
     }
 }
 
-/// GStreamer's name of an orientation as EXIF counts; 0 for others.
+/// EXIF number of GStreamer's name of an orientation; 0 for unknown names.
 fn exif_of(orientation: &str) -> u8 {
     let names = [
         "rotate-0",
@@ -441,7 +446,7 @@ fn exif_of(orientation: &str) -> u8 {
     names.iter().position(|name| *name == orientation).map_or(0, |index| index as u8 + 1)
 }
 
-/// Reads a message of the bus, on the thread that posts it.
+/// Handles a message of the bus, on the thread that posts it.
 fn heard(shared: &Shared, message: &gst::Message) {
     match message.view() {
         gst::MessageView::Error(error) => shared.fail(MediaError::from(error).to_string()),

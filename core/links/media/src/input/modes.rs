@@ -2,22 +2,22 @@
 
 use gstreamer as gst;
 
-/// Mode asked of a camera; 0 leaves the choice to its driver.
+/// Requested mode of a camera; 0 leaves the choice to its driver.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraMode {
     /// Columns, px.
     pub width: u32,
     /// Rows, px.
     pub height: u32,
-    /// Pictures per second.
+    /// Frames per second.
     pub fps: f64,
 }
 
-/// Media types that are read, the best first: what comes undecoded can be checked for damage and needs the least of the bus.
+/// Readable media types, best first: undecoded data can be checked for damage and needs the least bus bandwidth.
 const PREFERRED: [&str; 3] = ["image/jpeg", "video/x-raw", "video/x-h264"];
 
-/// The mode of `offered` that is nearest to `wanted`: by size, then rate, then media type. `None` when nothing is wanted or nothing usable is
-/// offered; the driver then chooses.
+/// The mode of `offered` that is nearest to `wanted`: by size, then rate, then media type. `None` when nothing is
+/// wanted or nothing usable is offered; the driver then chooses.
 pub fn nearest(offered: &gst::Caps, wanted: CameraMode) -> Option<gst::Caps> {
     if wanted == CameraMode::default() {
         return None;

@@ -34,7 +34,7 @@ impl Signal {
     }
 }
 
-/// Which pictures a full queue gives up.
+/// Behaviour of a full queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Policy {
     /// The oldest one is dropped and counted: the newest wins.
@@ -43,20 +43,20 @@ pub enum Policy {
     Lossless,
 }
 
-/// One entry: a picture, or a note that it is damaged.
+/// One entry: a frame, or a mark that it is damaged.
 #[derive(Debug)]
 pub struct Item<T> {
-    /// Number since the pipeline started, from 1; dropped and damaged pictures count.
+    /// Number since the pipeline started, from 1; dropped and damaged frames are counted.
     pub number: u64,
     /// Presentation time in the stream, ns.
     pub pts_ns: Option<i64>,
     /// Arrival at this machine, ns of `CLOCK_MONOTONIC`.
     pub arrived_ns: i64,
-    /// What the reader made of the sample.
+    /// The item that the reader made from the sample.
     pub content: T,
 }
 
-/// Why no further picture comes.
+/// Reason why no further frame follows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum End {
     /// The source has ended.
@@ -86,7 +86,7 @@ pub struct Queue<T> {
 }
 
 impl<T> Queue<T> {
-    /// An empty queue for `capacity` pictures.
+    /// An empty queue for `capacity` images.
     pub fn new(policy: Policy, capacity: usize) -> Self {
         let state = State {
             items: VecDeque::new(),
@@ -100,7 +100,7 @@ impl<T> Queue<T> {
         Self { state: Mutex::new(state), space: Condvar::new(), filled: Condvar::new(), capacity }
     }
 
-    /// Appends a picture. Returns `false` once the queue is closed.
+    /// Appends an image. Returns `false` once the queue is closed.
     pub fn push(&self, pts_ns: Option<i64>, arrived_ns: i64, content: T) -> bool {
         let mut state = locked(&self.state);
         let must_wait = |state: &mut State<T>| {
@@ -125,13 +125,13 @@ impl<T> Queue<T> {
         true
     }
 
-    /// Sets what a full queue does.
+    /// Sets the behaviour of a full queue.
     pub fn set_policy(&self, policy: Policy) {
         locked(&self.state).policy = policy;
         self.space.notify_all();
     }
 
-    /// While set, pictures are thrown away without waiting and without being counted.
+    /// While set, frames are discarded without waiting and without being counted.
     pub fn refuse(&self, is_refusing: bool) {
         locked(&self.state).is_refusing = is_refusing;
         self.space.notify_all();
@@ -143,12 +143,12 @@ impl<T> Queue<T> {
         self.filled.notify_all();
     }
 
-    /// The end, once it has been reported; pictures may still wait.
+    /// The end, once it has been reported; images may still wait.
     pub fn ended(&self) -> Option<End> {
         locked(&self.state).end.clone()
     }
 
-    /// Releases the pipeline's thread; no further picture is taken.
+    /// Releases the pipeline's thread; no further image is taken.
     pub fn close(&self) {
         let mut state = locked(&self.state);
         state.is_closed = true;
@@ -156,7 +156,7 @@ impl<T> Queue<T> {
         self.space.notify_all();
     }
 
-    /// Drops what waits, forgets the end, and numbers the next picture `pushed + 1`.
+    /// Drops waiting frames, clears the end, and numbers the next frame `pushed + 1`.
     pub fn restart(&self, pushed: u64) {
         let mut state = locked(&self.state);
         state.items.clear();
@@ -164,7 +164,7 @@ impl<T> Queue<T> {
         self.space.notify_all();
     }
 
-    /// Waits until there is a picture or the end, at most for `limit`. Returns whether there is.
+    /// Waits until there is an image or the end, at most for `limit`. Returns whether there is.
     pub fn wait(&self, limit: Duration) -> bool {
         let state = locked(&self.state);
         let is_idle = |state: &mut State<T>| state.items.is_empty() && state.end.is_none();
@@ -172,13 +172,13 @@ impl<T> Queue<T> {
         !state.items.is_empty() || state.end.is_some()
     }
 
-    /// Waits until there is a picture, at most for `limit`; returns whether there is.
+    /// Waits until there is an image, at most for `limit`; returns whether there is.
     pub fn wait_for_item(&self, limit: Duration) -> bool {
         self.wait(limit);
         !locked(&self.state).items.is_empty()
     }
 
-    /// The oldest picture, waiting for it at most for `limit`; `None` at the end or after the limit.
+    /// The oldest image, waiting for it at most for `limit`; `None` at the end or after the limit.
     pub fn pop(&self, limit: Duration) -> Option<Item<T>> {
         let begin = Instant::now();
         self.wait(limit.saturating_sub(begin.elapsed()));
@@ -187,13 +187,13 @@ impl<T> Queue<T> {
         item
     }
 
-    /// Arrival times of the waiting pictures, oldest first, ns of `CLOCK_MONOTONIC`.
+    /// Arrival times of the waiting images, oldest first, ns of `CLOCK_MONOTONIC`.
     pub fn arrivals(&self, out: &mut Vec<i64>) {
         out.clear();
         out.extend(locked(&self.state).items.iter().map(|item| item.arrived_ns));
     }
 
-    /// Removes all pictures that arrived before `time_ns`; returns how many.
+    /// Removes all images that arrived before `time_ns`; returns how many.
     pub fn discard_before(&self, time_ns: i64) -> u64 {
         let mut state = locked(&self.state);
         let count = state.items.iter().take_while(|item| item.arrived_ns < time_ns).count();
@@ -202,12 +202,12 @@ impl<T> Queue<T> {
         count as u64
     }
 
-    /// Pictures taken from the pipeline since the start.
+    /// Number of frames received from the pipeline.
     pub fn pushed(&self) -> u64 {
         locked(&self.state).pushed
     }
 
-    /// Pictures that a full queue dropped.
+    /// Images that a full queue dropped.
     pub fn dropped(&self) -> u64 {
         locked(&self.state).dropped
     }

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 
 use crate::cdr::CdrError;
 
-/// Why a bag cannot be written or read.
+/// A bag that cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum BagError {
-    /// Something is there already.
-    #[error("{} exists: name another folder", .path.display())]
+    /// The output exists already.
+    #[error("{} already exists: choose another folder", .path.display())]
     Exists {
         /// The folder.
         path: PathBuf,
@@ -26,7 +26,7 @@ pub enum BagError {
     #[error(transparent)]
     Message(#[from] CdrError),
     /// A type without a definition.
-    #[error("there is no definition of `{message}`")]
+    #[error("the definition of `{message}` is missing")]
     NoDefinition {
         /// The type.
         message: &'static str,
@@ -39,22 +39,22 @@ pub enum BagError {
         /// The operating system's error.
         cause: io::Error,
     },
-    /// No MCAP file.
+    /// The folder has no MCAP file.
     #[error("{} has no MCAP file: {hint}", .path.display())]
     NoMcap {
         /// The folder.
         path: PathBuf,
-        /// What is there instead, and what to do.
+        /// Actual content and a remedy.
         hint: &'static str,
     },
-    /// Messages of another generation.
+    /// Messages of ROS 1.
     #[error("{} has messages of ROS 1: convert it with `rosbags-convert`", .path.display())]
     Ros1 {
         /// The bag.
         path: PathBuf,
     },
-    /// Messages that are compressed one by one.
-    #[error("messages of `{topic}` in {} are compressed one by one, which is not read here: write the bag again with `ros2 bag convert`", .path.display())]
+    /// Messages that are compressed individually.
+    #[error("messages of `{topic}` in {} are compressed individually, which is not supported: write the bag again with `ros2 bag convert`", .path.display())]
     PackedMessage {
         /// The file.
         path: PathBuf,
@@ -76,7 +76,7 @@ pub enum BagError {
         path: PathBuf,
         /// Messages before that.
         messages: u64,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
 }

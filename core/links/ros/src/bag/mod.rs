@@ -1,4 +1,4 @@
-//! Bags: folders with MCAP files and `metadata.yaml`, as `ros2 bag` writes them.
+//! Bags: folders with MCAP files and `metadata.yaml`, in the format of `ros2 bag`.
 
 mod error;
 mod fields;

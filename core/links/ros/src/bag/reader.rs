@@ -1,10 +1,12 @@
 //! Reads a bag, message by message, in the order of their log times.
 //!
-//! Recorders write messages as they come, and some programs write one topic after the other. So the parts of all files are found first, by the heads
-//! of their records, and opened by their times; those that overlap are open at once.
+//! Recorders write messages in the order of arrival, and some programs write one topic after the other. So the parts of
+//! all files are found first, by the heads of their records, and opened by their times; those that overlap are open at
+//! once.
 //!
-//! Nothing of a bag is trusted: records and unpacked chunks have a largest length, and memory is taken as bytes come. The readers of the crate `mcap`
-//! are not used, because they panic at damaged chunks, give up a chunk that is cut off, and take memory by lengths that they have not compared.
+//! Bags are untrusted: the lengths of records and unpacked chunks are limited, and memory grows only with read bytes.
+//! The readers of the crate `mcap` are not used, because they panic at damaged chunks, reject a truncated chunk, and
+//! allocate unchecked lengths.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
@@ -21,22 +23,22 @@ use super::scan::{Channels, End, Form, HEAD_BYTES, MAX_RECORD_BYTES, Part, Scan}
 
 /// Maximum number of bytes of parts that are open at once because their times overlap.
 const MAX_OPEN_BYTES: u64 = 2 << 30;
-/// Messages of a bag that [`survey`] looks at.
+/// Number of messages that [`survey`] reads.
 const SURVEYED: u64 = 2000;
 
-/// First bytes of a message that is compressed on its own: CDR begins with a 0.
+/// First bytes of an individually compressed message; CDR begins with a 0.
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// A message as it is stored.
+/// A stored message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawMessage {
     /// Its topic.
     pub topic: String,
     /// Its type, such as `sensor_msgs/msg/Image`.
     pub message: String,
-    /// When it was recorded.
+    /// Time of recording, ns since 1970.
     pub log_ns: i64,
-    /// CDR.
+    /// Content in CDR.
     pub data: Vec<u8>,
 }
 
@@ -56,7 +58,7 @@ struct Source {
     /// The bytes of one that is in memory.
     bytes: Option<Arc<[u8]>>,
     channels: Channels,
-    /// How it ends; taken once that is reported.
+    /// Its end; taken once it is reported.
     end: Option<End>,
     /// Messages so far.
     messages: u64,
@@ -83,7 +85,7 @@ impl Source {
     }
 }
 
-/// Unpacks the body of a chunk; of one that is cut off, what can be unpacked.
+/// Unpacks the body of a chunk; of a truncated one, the part that can be unpacked.
 fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
     let mut fields = Fields(body);
     // Times of the first and the last message, size, checksum, name of the compression, size of what is packed.
@@ -93,7 +95,7 @@ fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
         Some((size, crc, fields.bytes(name_len)?, fields.u64()?))
     })();
     let Some((size, crc, name, packed_len)) = head else {
-        return if is_cut { Ok(Vec::new()) } else { Err("the head of a chunk does not fit it".to_owned()) };
+        return if is_cut { Ok(Vec::new()) } else { Err("the header of a chunk does not match it".to_owned()) };
     };
     if size > MAX_RECORD_BYTES {
         return Err(format!("a chunk of {size} bytes is longer than {MAX_RECORD_BYTES}"));
@@ -106,25 +108,25 @@ fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
         b"lz4" => lz4::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes)),
         other => {
             let name = String::from_utf8_lossy(other).chars().take(20).collect::<String>();
-            return Err(format!("chunks compressed with `{name}` are not read here"));
+            return Err(format!("compression `{name}` of chunks is not supported"));
         }
     };
     if !is_cut {
-        unpacked.map_err(|error| format!("a chunk cannot be unpacked: {error}"))?;
+        unpacked.map_err(|error| format!("a chunk cannot be decompressed: {error}"))?;
         if bytes.len() as u64 != size || crc != 0 && crc32fast::hash(&bytes) != crc {
-            return Err("a chunk has other bytes than were written".to_owned());
+            return Err("the CRC of a chunk is wrong".to_owned());
         }
     }
     Ok(bytes)
 }
 
-/// A message of a part that is open. The oldest comes first, of equal times the one that was found first.
+/// A message of a part that is open. The oldest comes first, at equal times, the one that was found first.
 struct Waiting {
     log_ns: u64,
     number: u64,
     file: usize,
     channel: u16,
-    /// The bytes of its part and where its data is in them.
+    /// The bytes of its part and the range of its data.
     part: Arc<Vec<u8>>,
     data: std::ops::Range<usize>,
 }
@@ -169,7 +171,7 @@ pub struct BagReader {
     open: Vec<std::sync::Weak<Vec<u8>>>,
 }
 
-/// The MCAP files of a bag: the file itself, or those of a folder in the order of their numbers.
+/// The MCAP files of a bag: the file itself, or those of a folder in numeric order.
 fn files(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let read = |cause| BagError::Read { path: path.to_owned(), cause };
     if !path.is_dir() {
@@ -259,7 +261,7 @@ impl BagReader {
         }
     }
 
-    /// Opens a part: its messages that are wanted wait for their turn.
+    /// Opens a part and queues its wanted messages.
     fn open_part(
         &mut self,
         (file, part): (usize, Part),
@@ -282,7 +284,7 @@ impl BagReader {
             let (Some((opcode, _)), Some(end)) = (record, end.filter(|end| *end <= bytes.len())) else {
                 return match part.form {
                     Form::CutChunk => Ok(()),
-                    _ => Err(source.damaged("a record does not fit its chunk")),
+                    _ => Err(source.damaged("a record exceeds its chunk")),
                 };
             };
             at = end;
@@ -309,7 +311,7 @@ impl BagReader {
         Ok(())
     }
 
-    /// The next message for whose topic and type `wants` is true; `None` at the end.
+    /// The next message whose topic and type `wants` accepts; `None` at the end.
     ///
     /// # Errors
     /// A file cannot be read, ends early or is damaged.
@@ -341,7 +343,7 @@ impl BagReader {
         }
     }
 
-    /// What is wrong with the end of a file, each reported once.
+    /// The error at the end of a file, reported once per file.
     fn end(&mut self) -> Option<BagError> {
         self.files.iter_mut().find_map(|source| match source.end.take()? {
             End::Whole => None,
@@ -350,10 +352,10 @@ impl BagReader {
         })
     }
 
-    /// The topics among the first messages. A bag that ends early has those before its end. What it read is not gone: the next message is still the first.
+    /// The topics among the first messages. If a bag ends early, those before its end. The reading position is
+    /// unchanged.
     ///
-    /// # Errors
-    /// It is damaged before its first message, or its messages are none that are read here.
+    /// # Errors It is damaged before its first message, or has no readable messages.
     pub fn survey(&self) -> Result<Vec<BagTopic>, BagError> {
         let mut ahead = Self {
             files: self.files.clone(),

@@ -7,27 +7,27 @@ use mcap::records::op;
 
 use super::fields::Fields;
 
-/// Longest record: an image of 8K with four bytes a pixel is half of it.
+/// Maximum length of a record, bytes; twice an 8K image with four bytes per pixel.
 pub const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// Bytes before the body of a record: its kind and its length.
 pub const HEAD_BYTES: usize = 9;
-/// Channels and schemas of a file.
+/// Maximum number of channels and schemas of a file.
 const MAX_CHANNELS: usize = 10_000;
-/// Parts of a file.
+/// Maximum number of parts of a file.
 const MAX_PARTS: usize = 10_000_000;
 /// Messages outside of chunks are read together up to this size.
 const MAX_RUN_BYTES: u64 = 4 << 20;
-/// A message's channel, number and both times.
+/// Bytes of a message's channel, number and two times.
 const MESSAGE_HEAD_BYTES: usize = 22;
 
-/// What a part is.
+/// Encoding of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// Body of a chunk.
     Chunk,
-    /// Body of a chunk within which the file ends.
+    /// Body of a truncated chunk.
     CutChunk,
-    /// Whole records of messages, one after the other, not compressed.
+    /// Complete uncompressed records of messages.
     Records,
 }
 
@@ -42,7 +42,7 @@ pub struct Part {
     pub at: u64,
     /// Number of its bytes.
     pub len: u64,
-    /// How they are read.
+    /// Encoding of its bytes.
     pub form: Form,
 }
 
@@ -52,7 +52,7 @@ pub struct Channels {
     schemas: HashMap<u16, String>,
     /// `None` for messages that are not in CDR.
     channels: HashMap<u16, Option<(String, String)>>,
-    /// A message in the encoding of ROS 1 was announced.
+    /// Whether a channel has the encoding of ROS 1.
     pub is_ros1: bool,
 }
 
@@ -68,10 +68,9 @@ impl Channels {
         self.channels.is_empty()
     }
 
-    /// Takes the body of a record if it is one of a schema or a channel.
+    /// Adds the body of a record if it is a schema or a channel.
     ///
-    /// # Errors
-    /// What is wrong with it.
+    /// # Errors The record is malformed.
     pub fn take(&mut self, opcode: u8, body: &[u8]) -> Result<(), &'static str> {
         const MISFIT: &str = "a record lacks fields of its kind";
         let mut fields = Fields(body);
@@ -99,33 +98,33 @@ impl Channels {
     }
 }
 
-/// How a file ends.
+/// End of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum End {
-    /// As its recorder finished it.
+    /// Complete.
     Whole,
     /// In the middle of a record.
     CutOff,
-    /// With bytes that are no record; what is wrong with them.
+    /// With bytes that are not a record; describes the damage.
     Damaged(String),
 }
 
-/// What a file holds.
+/// Content of a file.
 #[derive(Debug)]
 pub struct Scan {
     /// Its parts, in the order of the file.
     pub parts: Vec<Part>,
     /// Its channels outside of chunks.
     pub channels: Channels,
-    /// How it ends.
+    /// Its end.
     pub end: End,
 }
 
-/// Why a scan goes no further.
+/// Early end of a scan.
 enum ScanError {
     /// The system's error.
     Read(io::Error),
-    /// What is wrong with the bytes.
+    /// Description of the problem.
     Damaged(String),
 }
 
@@ -139,7 +138,7 @@ fn damaged(words: impl Into<String>) -> ScanError {
     ScanError::Damaged(words.into())
 }
 
-/// Up to `len` bytes; fewer where the file ends.
+/// Up to `len` bytes; fewer at the end of the file.
 fn bytes(input: &mut impl Read, len: u64) -> Result<Vec<u8>, ScanError> {
     if len > MAX_RECORD_BYTES {
         return Err(damaged(format!("a record of {len} bytes is longer than {MAX_RECORD_BYTES}")));
@@ -150,7 +149,7 @@ fn bytes(input: &mut impl Read, len: u64) -> Result<Vec<u8>, ScanError> {
 }
 
 impl Scan {
-    /// Reads the heads of all records. Parts before a damaged one are found.
+    /// Reads the heads of all records. Parts before damage are found.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -220,7 +219,7 @@ impl Scan {
     fn chunk(&mut self, head: &[u8], (at, len): (u64, u64), is_whole: bool) -> Result<(), ScanError> {
         let mut fields = Fields(head);
         let Some((start_ns, end_ns)) = fields.u64().zip(fields.u64()) else {
-            return if is_whole { Err(damaged("a chunk has no head")) } else { Ok(()) };
+            return if is_whole { Err(damaged("a chunk has no header")) } else { Ok(()) };
         };
         if len > MAX_RECORD_BYTES {
             return Err(damaged(format!("a record of {len} bytes is longer than {MAX_RECORD_BYTES}")));
@@ -230,7 +229,7 @@ impl Scan {
         self.push(Part { start_ns, end_ns, at, len, form })
     }
 
-    /// Takes a message whose record is between two offsets.
+    /// Adds a message whose record is between two offsets.
     fn message(&mut self, head: &[u8], (at, end): (u64, u64)) -> Result<(), ScanError> {
         let mut fields = Fields(head);
         let (Some(_channel), Some(_number), Some(log_ns)) = (fields.u16(), fields.array::<4>(), fields.u64()) else {

@@ -14,7 +14,7 @@ use super::error::BagError;
 use crate::cdr::{self, Message};
 use crate::definitions;
 
-/// Reliable, volatile, keep the last 10, in the form of rosbag2's version 5.
+/// Quality of service: reliable, volatile, keep the last 10, in the format of rosbag2 version 5.
 const QOS: &str = "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false";
 
 struct Topic {
@@ -42,7 +42,8 @@ fn io_error(error: McapError) -> io::Error {
 }
 
 impl BagWriter {
-    /// Makes the folder and begins its one MCAP file. With `replaces`, the bag's files are replaced where the folder exists.
+    /// Makes the folder and begins its one MCAP file. With `replaces`, the bag's files are replaced if the folder
+    /// exists.
     ///
     /// # Errors
     /// The folder exists, or cannot be made.
@@ -78,7 +79,7 @@ impl BagWriter {
         BagError::Write { path: self.folder.join(&self.file), cause: io_error(error) }
     }
 
-    /// Appends a message, logged at the time of its data. Times before the first moment count as that moment.
+    /// Appends a message, logged at the time of its data. Times before 1970 are clamped.
     ///
     /// # Errors
     /// It cannot be encoded or written.
@@ -119,7 +120,7 @@ impl BagWriter {
         fs::write(&part, text).and_then(|()| fs::rename(&part, &path)).map_err(|cause| failed(&path, cause))
     }
 
-    /// Version 5, which every distribution since Humble reads.
+    /// Text of `metadata.yaml`, version 5, which every distribution since Humble reads.
     fn metadata(&self) -> String {
         let first = if self.count == 0 { 0 } else { self.first_ns };
         let duration = self.last_ns.saturating_sub(first);

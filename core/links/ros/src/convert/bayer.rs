@@ -1,6 +1,6 @@
-//! Images of sensors with a colour filter before each pixel.
+//! Images of sensors with a colour filter per pixel.
 
-/// Columns and rows by which a pattern is moved against red, green / green, blue.
+/// Columns and rows by which a pattern is shifted from red, green / green, blue.
 fn offset(encoding: &str) -> Option<(usize, usize)> {
     Some(match encoding {
         "bayer_rggb8" => (0, 0),
@@ -16,7 +16,8 @@ pub fn is_bayer(encoding: &str) -> bool {
     offset(encoding).is_some()
 }
 
-/// Blue, green, red of every pixel: the colours that a pixel lacks are the means of its neighbours that have them. `rows` are those of the image.
+/// Blue, green, red of every pixel: the colours that a pixel lacks are the means of its neighbours that have them.
+/// `rows` are those of the image.
 pub fn colours(encoding: &str, rows: &[&[u8]]) -> Vec<u8> {
     let (dx, dy) = offset(encoding).unwrap_or_default();
     let width = rows.first().map_or(0, |row| row.len());

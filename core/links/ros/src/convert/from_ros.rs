@@ -14,20 +14,20 @@ use crate::messages::{
 
 /// Millimetres in a metre.
 const MM_PER_M: f64 = 1e3;
-/// Largest side of a picture.
+/// Largest side of an image.
 const MAX_SIDE: u32 = 1 << 15;
-/// Maximum number of pixels of a picture, and points of a cloud.
+/// Maximum number of pixels of an image, and points of a cloud.
 const MAX_PIXELS: u64 = 1 << 27;
 /// Maximum number of boxes of a message.
 const MAX_BOXES: usize = 10_000;
-/// Most memory that a decoder of pictures takes.
+/// Maximum memory of an image decoder, bytes.
 const MAX_DECODED_BYTES: u64 = 1 << 30;
 
-/// Why a message has no packet.
+/// A message without a packet form.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConvertError {
-    /// A size that does not fit the bytes, or is out of all proportion.
-    #[error("{width}x{height} with {step} bytes a row does not fit {len} bytes")]
+    /// A size that does not fit the bytes, or is too large.
+    #[error("{width}x{height} with {step} bytes per row does not match {len} bytes")]
     Size {
         /// Columns.
         width: u32,
@@ -35,23 +35,23 @@ pub enum ConvertError {
         height: u32,
         /// Bytes from one row to the next.
         step: u32,
-        /// Bytes that are there.
+        /// Actual number of bytes.
         len: usize,
     },
-    /// An encoding of pictures that is not read.
+    /// An unsupported image encoding.
     #[error(
-        "the encoding `{encoding}` is not read here: mono8, bgr8, rgb8, bgra8, rgba8, mono16, 16UC1, 32FC1 and bayer_*8 are"
+        "the encoding `{encoding}` is not supported: use mono8, bgr8, rgb8, bgra8, rgba8, mono16, 16UC1, 32FC1 or bayer_*8"
     )]
     Encoding {
         /// Its name.
         encoding: String,
     },
-    /// A compressed picture that cannot be decoded.
-    #[error("a compressed picture (`{format}`) cannot be decoded: {words}")]
+    /// A compressed image that cannot be decoded.
+    #[error("a compressed image (`{format}`) cannot be decoded: {words}")]
     Compressed {
-        /// What the message says it is.
+        /// Format stated by the message.
         format: String,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
     /// Points without coordinates.
@@ -60,14 +60,14 @@ pub enum ConvertError {
         /// Its name.
         field: &'static str,
     },
-    /// More than a packet takes.
-    #[error("{count} {what} are too many: at most {most}")]
+    /// More entries than a packet can hold.
+    #[error("{count} {what} exceed the limit of {most}")]
     TooMany {
-        /// How many.
+        /// Number of entries.
         count: usize,
-        /// Of what.
+        /// Kind of the entries.
         what: &'static str,
-        /// Most.
+        /// Maximum number.
         most: usize,
     },
     /// A camera without a calibration.
@@ -86,7 +86,7 @@ pub struct Picture {
     pub samples: Samples,
 }
 
-/// Samples of a picture.
+/// Samples of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Samples {
     /// One byte a pixel.
@@ -110,10 +110,9 @@ fn checked(width: u32, height: u32, step: u32, row_bytes: u64, len: usize) -> Re
     if fits { Ok(()) } else { Err(ConvertError::Size { width, height, step, len }) }
 }
 
-/// The pixels of a picture. Alpha is left out.
+/// The pixels of an image. Alpha is dropped.
 ///
-/// # Errors
-/// The encoding is not read, or the size does not fit the bytes.
+/// # Errors The encoding is not supported, or the size does not fit the bytes.
 pub fn picture(message: &Image<'_>) -> Result<Picture, ConvertError> {
     let Image { width, height, step, .. } = *message;
     let pixel: u64 = match message.encoding.as_str() {
@@ -152,7 +151,7 @@ pub fn picture(message: &Image<'_>) -> Result<Picture, ConvertError> {
     Ok(Picture { width: width as usize, height: height as usize, samples })
 }
 
-/// The pixels of a compressed picture, JPEG or PNG by its bytes.
+/// The pixels of a compressed image, JPEG or PNG by its bytes.
 ///
 /// # Errors
 /// It is neither, or damaged.
@@ -187,7 +186,7 @@ pub fn compressed(message: &CompressedImage<'_>) -> Result<Picture, ConvertError
 /// Depth in mm; unknown is NaN. Floats are in m, 16 bits in mm with 0 for unknown (REP 118).
 ///
 /// # Errors
-/// As [`picture`]; pictures of 8 bits are no depth.
+/// As [`picture`]; 8-bit images are refused.
 pub fn depth_mm(message: &Image<'_>) -> Result<(usize, usize, Vec<f32>), ConvertError> {
     let Picture { width, height, samples } = picture(message)?;
     let mm = match samples {
@@ -201,10 +200,10 @@ pub fn depth_mm(message: &Image<'_>) -> Result<(usize, usize, Vec<f32>), Convert
     Ok((width, height, mm))
 }
 
-/// Disparity in px; what is unknown or below the smallest searched disparity is NaN.
+/// Disparity in px; unknown values and those below the smallest searched disparity are NaN.
 ///
 /// # Errors
-/// As [`picture`]; anything but floats is no disparity.
+/// As [`picture`]; other formats than floats are refused.
 pub fn disparity(message: &DisparityImage<'_>) -> Result<(usize, usize, Vec<f32>), ConvertError> {
     let Picture { width, height, samples } = picture(&message.image)?;
     let Samples::F32(mut values) = samples else {
@@ -261,7 +260,8 @@ impl Numbers {
     }
 }
 
-/// Width, height and points of a cloud, in mm. Points without colours are white, those whose field `filled` is not 0 were filled in.
+/// Width, height and points of a cloud, in mm. Points without colours are white, points whose field `filled` is not 0
+/// count as filled in.
 ///
 /// # Errors
 /// There are no coordinates, or the size does not fit the bytes.
@@ -310,7 +310,7 @@ pub struct Boxes {
     pub labels: Vec<String>,
 }
 
-/// Boxes with the class of the highest score; turned boxes become upright ones of the same size.
+/// Boxes with the class of the highest score; rotated boxes become upright ones of the same size.
 ///
 /// # Errors
 /// There are too many.
@@ -342,7 +342,7 @@ pub fn boxes(message: &Detection2DArray) -> Result<Boxes, ConvertError> {
     Ok(all)
 }
 
-/// A name as packets hold it: at most 16 bytes, zero-padded.
+/// A name for a packet: at most 16 bytes, zero-padded.
 fn padded(name: &str) -> [u8; 16] {
     let mut out = [0; 16];
     let end = name.floor_char_boundary(out.len());
@@ -379,10 +379,9 @@ pub fn joints(message: &JointState) -> Result<abi::Joints, ConvertError> {
     })
 }
 
-/// What a message states of a camera.
+/// The camera in a message.
 ///
-/// # Errors
-/// The distortion model is unknown, or its numbers are those of no camera.
+/// # Errors The distortion model is unknown, or its numbers are invalid.
 pub fn camera_info(message: &CameraInfo) -> Result<Info, ConvertError> {
     let size = (message.width, message.height);
     let matrices = (&message.k, &message.r, &message.p);

@@ -49,7 +49,7 @@ fn plain_bytes<'a>(view: &View<'a, u8>) -> Bytes<'a> {
     Bytes(Cow::Owned(data))
 }
 
-/// A picture. `scale` multiplies floats: 0.001 for depth, which is in m there.
+/// An image. `scale` multiplies floats: 0.001 for depth, which is in m in ROS.
 pub fn image_message<'a>(pixels: &Pixels<'a>, scale: f32, header: Header) -> Image<'a> {
     let (width, height) = pixels.size();
     let (encoding, pixel, data) = match pixels {
@@ -70,7 +70,7 @@ pub fn image_message<'a>(pixels: &Pixels<'a>, scale: f32, header: Header) -> Ima
     }
 }
 
-/// A picture of 8 bits as JPEG.
+/// An image of 8 bits as JPEG.
 ///
 /// # Errors
 /// The encoder's.
@@ -125,7 +125,8 @@ pub fn disparity_message<'a>(
     }
 }
 
-/// The points in rows of `width`, in m, unknown ones as NaN. The field `filled` is 1 for points that were filled in, 0 for measured ones.
+/// The points in rows of `width`, in m, unknown ones as NaN. The field `filled` is 1 for points that were filled in, 0
+/// for measured ones.
 pub fn points_message(
     points: impl ExactSizeIterator<Item = abi::CloudPoint>,
     width: usize,
@@ -159,7 +160,7 @@ pub fn points_message(
     }
 }
 
-/// Boxes with their labels; the names of classes stand in `class_id`, the number of the track in `id`.
+/// Boxes with their labels; `class_id` has the class name, `id` the track number.
 pub fn detections_message<'l>(
     boxes: impl Iterator<Item = (abi::Detection, &'l str)>,
     header: Header,
@@ -183,7 +184,7 @@ pub fn detections_message<'l>(
     Detection2DArray { header, detections }
 }
 
-/// Where `b` stands in `a`; the frame of the header is `a`.
+/// Pose of `b` in `a`; the frame of the header is `a`.
 pub fn pose_message(pose: &abi::Pose, capture_ns: i64) -> PoseStamped {
     let [w, x, y, z] = pose.a_from_b_wxyz;
     let [px, py, pz] = pose.a_from_b_mm.map(|mm| mm * MM);

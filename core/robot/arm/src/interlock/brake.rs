@@ -1,8 +1,8 @@
-//! Stops that are planned before they are needed.
+//! Stops that are planned in advance.
 //!
-//! First the acceleration falls linearly to 0, then the speed is reduced along its own direction with bounded acceleration and jerk. All joints keep
-//! their proportions, so that a movement about the trocar stays one. Both parts have closed forms in whole steps: the stop that is checked is exactly
-//! the one that would be driven.
+//! First the acceleration falls linearly to 0, then the speed is reduced along its own direction with bounded
+//! acceleration and jerk. All joints keep their proportions, so that a movement about the trocar stays one. Both parts
+//! have closed forms in whole steps: the stop that is checked is exactly the one that would be driven.
 
 use super::caps::{Caps, STEP_S, share};
 use crate::chain::JointVector;
@@ -27,7 +27,7 @@ impl SetPoint {
         Self { position, velocity: JointVector::zeros(), acceleration: JointVector::zeros() }
     }
 
-    /// Whether speeds and accelerations are 0, but for rounding: a demand of 0 is followed ever more slowly, and never to the last bit.
+    /// Whether speeds and accelerations are 0, up to rounding, because a demand of 0 is approached asymptotically.
     pub fn is_at_rest(&self) -> bool {
         self.velocity.iter().chain(&self.acceleration).all(|value| value.abs() < REST)
     }
@@ -112,7 +112,8 @@ impl Brake {
         SetPoint { position, velocity, acceleration: start.acceleration * (1.0 - k / n) }
     }
 
-    /// Distance in units of the initial speed (s), share of that speed, and braking (1/s) after `step` steps of the second part.
+    /// Distance in units of the initial speed (s), share of that speed, and braking (1/s) after `step` steps of the
+    /// second part.
     fn straight(&self, step: u32) -> (f64, f64, f64) {
         let (h, j, n) = (STEP_S, self.jerk, f64::from(self.ramp));
         let setting_in = |k: f64| {

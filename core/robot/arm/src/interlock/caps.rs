@@ -1,4 +1,4 @@
-//! The arm's limits. They are constants: an arm's file may lower them, nothing may raise them.
+//! The arm's limits. They are constants: an arm's file may lower but not raise them.
 
 use std::time::Duration;
 
@@ -22,11 +22,12 @@ pub const PIVOT_MM: f64 = 1.0;
 pub const TILT_RAD: f64 = 0.6;
 /// Smallest and largest depth of the tube's end beyond the trocar, mm.
 pub const DEPTH_MM: (f64, f64) = (20.0, 190.0);
-/// Age up to which a demand is followed. The arm shall brake within 30 ms after the last one: 6 ms are left for the next set-point and its way to the arm.
+/// Age up to which a demand is followed. The arm must brake within 30 ms of the last demand, which leaves 6 ms for the
+/// next set-point and its transmission.
 pub const DEMAND_AGE: Duration = Duration::from_millis(24);
 /// Largest age of a tip that a setting can allow.
 pub const TIP_AGE: Duration = Duration::from_millis(300);
-/// Longest time between two calls that still counts as running.
+/// Maximum time between two calls that still counts as running.
 pub const MAX_CALL: Duration = Duration::from_millis(250);
 
 /// Margins between planned movements and the limits, because plans are checked at some steps only.
@@ -70,7 +71,7 @@ impl TubePose {
         Self { pivot_mm: trocar.x.hypot(trocar.y), depth_mm: -trocar.z, tilt_rad: along.angle(home) }
     }
 
-    /// Whether the pose is within the limits, reduced by the margins if wanted. NaN is not.
+    /// Whether the pose is within the limits, optionally reduced by the margins. NaN is not allowed.
     pub fn is_allowed(&self, with_margin: bool) -> bool {
         let margin = if with_margin { 1.0 } else { 0.0 };
         self.pivot_mm <= PIVOT_MM - margin * PIVOT_MARGIN_MM
@@ -99,7 +100,7 @@ impl Caps {
         }
     }
 
-    /// Whether all angles are within the limits, reduced by the margin if wanted. NaN is not.
+    /// Whether all angles are within the limits, optionally reduced by the margin. NaN is not allowed.
     pub fn angles_allowed(&self, angles_rad: &JointVector, with_margin: bool) -> bool {
         let margin = if with_margin { ANGLE_MARGIN_RAD } else { 0.0 };
         (0..JOINTS).all(|k| angles_rad[k] >= self.lower_rad[k] + margin && angles_rad[k] <= self.upper_rad[k] - margin)

@@ -1,8 +1,8 @@
-//! Why the arm stands still.
+//! Causes of a stop.
 
 use std::fmt;
 
-/// Why the arm is stopped.
+/// Cause of a stop of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// A person stopped it; latches.
@@ -29,13 +29,13 @@ pub enum Cause {
     FlatTip,
     /// No movement is requested.
     NoDemand,
-    /// The newest demand is too old: the loop does not run.
+    /// The newest demand is too old: the control loop has stalled.
     LoopStalled,
     /// The demand is not finite, or has another number of joints.
     BadDemand,
     /// Further movement would leave the limits of joints or workspace.
     Limit,
-    /// The arm has just come up and nobody has released it; latches.
+    /// The arm has started and has not been released by an operator; latches.
     AwaitsOperator,
     /// The process that guards the arm ended while the arm was released; latches.
     Interrupted,
@@ -140,7 +140,7 @@ impl Cause {
         )
     }
 
-    /// In words.
+    /// Description for messages.
     pub fn words(self) -> &'static str {
         match self {
             Self::EmergencyStop => "emergency stop",

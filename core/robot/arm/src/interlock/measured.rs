@@ -1,7 +1,7 @@
-//! The limits as the arm keeps them: judged on encoder angles, not on set-points.
+//! Limits checked on encoder angles instead of set-points.
 //!
-//! Set-points stay within [`caps`](super::caps); the arm follows them with lag, backlash and noise, so measured limits have a margin. A measured
-//! violation latches: the arm does something that it was not asked to do.
+//! Set-points stay within [`caps`](super::caps); the arm follows them with lag, backlash and noise, so measured limits
+//! have a margin. A measured violation latches: the arm does not do what was commanded.
 
 use nalgebra::Vector3;
 
@@ -26,7 +26,7 @@ pub const TILT_MARGIN_RAD: f64 = 0.01;
 /// Answers that are kept to measure speed.
 const KEPT: usize = 16;
 
-/// Judges the newest encoder angles.
+/// Checks the newest encoder angles.
 #[derive(Clone, Debug)]
 pub struct Measured {
     caps: Caps,
@@ -37,13 +37,14 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// For one arm.
+    /// The state for one arm.
     pub fn new(chain: &Chain) -> Self {
         let home = chain.stance(&JointVector::zeros()).base_from_tip * Vector3::z();
         Self { caps: Caps::of(chain), home, answers: [(0, JointVector::zeros()); KEPT], len: 0 }
     }
 
-    /// Takes an answer: encoder angles, rad, and the time for which they hold, ns. Returns the violated limit. NaN violates.
+    /// Checks an answer: encoder angles, rad, and the time for which they hold, ns. Returns the violated limit. NaN
+    /// violates.
     pub fn check(&mut self, chain: &Chain, at_ns: i64, angles_rad: &JointVector) -> Option<Cause> {
         if self.len > 0 && self.answers[self.len - 1].0 == at_ns {
             return None;
@@ -79,7 +80,7 @@ impl Measured {
             && tube.depth_mm <= DEPTH_MM.1 + DEPTH_MARGIN_MM
     }
 
-    /// Forgets earlier answers: after a pause they say nothing about speed.
+    /// Drops earlier answers, which say nothing about the speed after a pause.
     pub fn restart(&mut self) {
         self.len = 0;
     }

@@ -1,16 +1,18 @@
 //! The last stage before set-points: whatever motion is requested, its output stays within the limits.
 //!
-//! Where it stands. Three watchdogs, each outside what the one before it can break:
+//! Three watchdogs, each independent of the one before it:
 //! 1. `arm_pid` asks for nothing without a fresh tip. It is a node like any other and may be replaced or wrong.
-//! 2. This interlock lives in the driver (`arm_sim`, `arm_serial`), after the graph's last wire. It looks at the tip itself, at the age of the
-//!    demand, and at every limit, and steps on a clock of the driver's: with real hardware a thread that continues when the graph, the controller
-//!    or the host's scheduler does not.
-//! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the whole process dies.
+//! 2. This interlock lives in the driver (`arm_sim`, `arm_serial`), after the graph's last wire. It looks at the tip
+//!    itself, at the age of the demand, and at every limit, and steps on a clock of the driver's: with real hardware a
+//!    thread that continues when the graph, the controller or the host's scheduler does not.
+//! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the
+//!    whole process dies.
 //!
-//! How it keeps the limits. The state is one [`SetPoint`]; time advances in steps of 1 ms. For each state a stop has been planned ([`Brake`], closed
-//! form) and checked against joint limits and workspace before the state is entered. A demand is followed for up to 10 steps at a time, and only if
-//! such a stop exists from their end; otherwise the known stop is driven. By induction no sequence of inputs leaves the limits. All changes scale the
-//! joints together, so that movements about the trocar stay such.
+//! How it keeps the limits. The state is one [`SetPoint`]; time advances in steps of 1 ms. For each state a stop has
+//! been planned ([`Brake`], closed form) and checked against joint limits and workspace before the state is entered. A
+//! demand is followed for up to 10 steps at a time, and only if such a stop exists from their end; otherwise the known
+//! stop is driven. By induction no sequence of inputs leaves the limits. All changes scale the joints together, so that
+//! movements about the trocar stay such.
 
 mod brake;
 pub mod caps;
@@ -41,7 +43,7 @@ const NOTED_AFTER_STEPS: u32 = 31;
 /// Maximum number of events that wait to be taken.
 const MAX_EVENTS: usize = 32;
 
-/// Settings of the user; the limits in [`caps`] hold whatever they are.
+/// Settings of the user; the limits in [`caps`] hold in any case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Age up to which a tip is followed, ms; at most 300.
@@ -56,7 +58,7 @@ impl Default for Settings {
     }
 }
 
-/// What the interlock needs to know of the tip that the arm follows.
+/// Properties of the followed tip that the interlock checks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
     /// Score, 0 to 1; lower while the tip is only predicted.
@@ -68,15 +70,15 @@ pub struct Evidence {
 /// Requested joint velocities.
 #[derive(Clone, Copy, Debug)]
 struct Demand {
-    /// When they were requested, ns.
+    /// Time of the request, ns.
     made_ns: i64,
-    /// When the light that they were computed from arrived, ns.
+    /// Arrival time of the light that they were computed from, ns.
     light_ns: i64,
-    /// None where they are invalid.
+    /// `None` if they are invalid.
     velocity: Option<JointVector>,
 }
 
-/// See the module.
+/// The interlock of one arm; see the module.
 pub struct Interlock {
     chain: Chain,
     caps: Caps,
@@ -84,7 +86,7 @@ pub struct Interlock {
     settings: Settings,
     now_ns: i64,
     state: SetPoint,
-    /// The stop that is being driven, and its steps so far.
+    /// The stop in progress, and its steps so far.
     braking: Option<(Brake, u32)>,
     /// The planned stop from `state`.
     escape: Brake,
@@ -100,8 +102,8 @@ pub struct Interlock {
 }
 
 impl Interlock {
-    /// An arm at rest at `angles_rad`; it moves once a tip and a demand have arrived. Angles outside the limits are clamped: the caller compares
-    /// [`Interlock::set_point`] with the arm's angles.
+    /// An arm at rest at `angles_rad`; it moves once a tip and a demand have arrived. Angles outside the limits are
+    /// clamped: the caller compares [`Interlock::set_point`] with the arm's angles.
     pub fn new(chain: Chain, angles_rad: JointVector, now_ns: i64) -> Self {
         let caps = Caps::of(&chain);
         let home = chain.stance(&JointVector::zeros()).base_from_tip * Vector3::z();
@@ -148,7 +150,7 @@ impl Interlock {
         &self.caps
     }
 
-    /// Takes the user's settings as far as the limits allow; NaN counts as the strictest.
+    /// Sets the user's settings, clamped to the limits; NaN counts as the strictest value.
     pub fn set(&mut self, settings: Settings) {
         let oldest = caps::TIP_AGE.as_secs_f64() * 1e3;
         let strict =
@@ -159,12 +161,13 @@ impl Interlock {
         };
     }
 
-    /// Takes the newest tip that the arm follows. Its light arrived at `light_ns`.
+    /// Sets the newest tip that the arm follows. Its light arrived at `light_ns`.
     pub fn tip(&mut self, light_ns: i64, evidence: Evidence) {
         self.tip = Some((light_ns, evidence));
     }
 
-    /// Corrects the time at which the light of the newest tip arrived, for a caller whose clock is not that of the tips.
+    /// Corrects the time at which the light of the newest tip arrived, for a caller whose clock is not that of the
+    /// tips.
     pub fn correct_tip(&mut self, light_ns: i64) {
         if let Some((at_ns, _)) = &mut self.tip {
             *at_ns = light_ns;
@@ -176,8 +179,9 @@ impl Interlock {
         self.demand_of_light(now_ns, now_ns, velocity_rad_s);
     }
 
-    /// Requests joint velocities, rad/s, at `made_ns`, computed from light that arrived at `light_ns`. The demand expires 24 ms after it was made,
-    /// and is not followed when its light is older than a tip may be. Anything but six finite numbers is an invalid demand, which stops the arm.
+    /// Requests joint velocities, rad/s, at `made_ns`, computed from light that arrived at `light_ns`. The demand
+    /// expires 24 ms after it was made, and is not followed when its light is older than a tip may be. Anything but six
+    /// finite numbers is an invalid demand, which stops the arm.
     pub fn demand_of_light(&mut self, made_ns: i64, light_ns: i64, velocity_rad_s: &[f64]) {
         let sound = velocity_rad_s.len() == JOINTS && velocity_rad_s.iter().all(|v| v.is_finite());
         let velocity = sound.then(|| JointVector::from_column_slice(velocity_rad_s));
@@ -203,19 +207,20 @@ impl Interlock {
         self.latched
     }
 
-    /// When the demand expires that the arm follows, ns; none while it brakes or stands.
+    /// Expiry of the followed demand, ns; `None` while the arm brakes or rests.
     pub fn expires_ns(&self) -> Option<i64> {
         let demand = self.demand.filter(|_| self.stop.is_none())?;
         Some(demand.made_ns.saturating_add(caps::DEMAND_AGE.as_nanos() as i64))
     }
 
-    /// Cause of a stop that has lasted longer than a late tick; none while the arm follows.
+    /// Cause of a stop that has lasted longer than a late tick; `None` while the arm follows.
     pub fn stopped(&self) -> Option<Cause> {
         self.noted
     }
 
-    /// Cause for which the newest set-point brakes; none where it follows. A demand expires after 24 ms, so at 30 ticks per second this is set in the
-    /// last 9 ms of each tick, in which limited jerk changes a speed by 1.2 mrad/s at most: see [`Interlock::stopped`].
+    /// Cause for which the newest set-point brakes; `None` if it follows. A demand expires after 24 ms, so at 30 ticks
+    /// per second this is set in the last 9 ms of each tick, in which limited jerk changes a speed by 1.2 mrad/s at
+    /// most: see [`Interlock::stopped`].
     pub fn stop(&self) -> Option<Cause> {
         self.stop
     }
@@ -245,7 +250,8 @@ impl Interlock {
         self.events.pop_front()
     }
 
-    /// Advances to `now_ns` and calls `each` with every set-point (one per ms). Time that goes backwards makes no step, a jump at most 250 steps.
+    /// Advances to `now_ns` and calls `each` with every set-point (one per ms). Time that goes backwards makes no step,
+    /// a jump at most 250 steps.
     pub fn advance(&mut self, now_ns: i64, each: &mut dyn FnMut(&SetPoint)) {
         let max_ns = caps::MAX_CALL.as_nanos() as i64;
         let passed_ns = now_ns.saturating_sub(self.now_ns);
@@ -286,7 +292,7 @@ impl Interlock {
         })
     }
 
-    /// When the demand was made that is followed at this moment, ns, and its velocities; else the cause not to follow.
+    /// Time of the followed demand, ns, and its velocities; otherwise the cause of the stop.
     fn followed(&self) -> Result<(i64, JointVector), Cause> {
         if let Some(cause) = self.latched {
             return Err(cause);
@@ -347,7 +353,7 @@ impl Interlock {
         steps
     }
 
-    /// A demand within the speeds of joints and camera, its direction kept.
+    /// A demand scaled to the speed limits of joints and camera, with its direction kept.
     fn tamed(&self, wanted: &JointVector) -> JointVector {
         let camera =
             self.chain.stance(&self.state.position).camera_velocity(wanted).norm() / (0.85 * caps::CAMERA_MM_S);
@@ -386,7 +392,7 @@ impl Interlock {
         true
     }
 
-    /// Records time and cause.
+    /// Records passed steps and the cause of a stop.
     fn passed(&mut self, steps: u32, stop: Option<Cause>) {
         self.now_ns = self.now_ns.saturating_add(i64::from(steps) * STEP_NS);
         self.stop = stop;
@@ -418,7 +424,8 @@ impl Interlock {
     }
 }
 
-/// Steps of a stop at which its place is checked: thirds of the time until the joints' accelerations are released, and quarters of the rest.
+/// Steps of a stop at which its position is checked: thirds of the time until the joints' accelerations are released,
+/// and quarters of the rest.
 fn checked_steps(release: u32, end: u32) -> [u32; 8] {
     let rest = end - release;
     let after = |quarters: u32| release + quarters * rest / 4;

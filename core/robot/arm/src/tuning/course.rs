@@ -1,4 +1,4 @@
-//! Responses of a controller and the simulated arm to steps and ramps of a tip, without tracker and pictures.
+//! Responses of a controller and the simulated arm to steps and ramps of a tip, without tracker and images.
 
 use nalgebra::{Point3, Vector3};
 
@@ -11,17 +11,17 @@ use crate::dynamics::{Quality, SimArm};
 use crate::interlock::{Evidence, Interlock};
 use crate::task::{self, Errors, Wanted};
 
-/// The channels that are tuned: both directions in the picture share one set of gains, the distance has another.
+/// The channels that are tuned: both directions in the image share one set of gains, the distance has another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
-    /// The tip's position in the picture, tested horizontally.
+    /// The tip's position in the image, tested horizontally.
     Picture,
     /// The tip's distance.
     Distance,
 }
 
 impl Channel {
-    /// Both.
+    /// Both channels.
     pub const ALL: [Self; 2] = [Self::Picture, Self::Distance];
 
     /// Prefix of the parameters' names.
@@ -50,9 +50,9 @@ pub struct Course {
     pub quality: Quality,
     /// The cameras.
     pub cameras: CameraGeometry,
-    /// Pictures per second.
+    /// Frames per second.
     pub rate_hz: f64,
-    /// Standard deviation of a tip in the picture and of its disparity, px; 0 for none.
+    /// Standard deviation of a tip in the image and of its disparity, px; 0 for none.
     pub noise_px: f64,
 }
 
@@ -133,7 +133,7 @@ impl Course {
     /// Plays a motion against a controller.
     ///
     /// # Errors
-    /// [`TuneError::Stopped`] where the interlock stops the arm, [`TuneError::NotFinite`] where the tip is lost in numbers.
+    /// [`TuneError::Stopped`] where the interlock stops the arm, [`TuneError::NotFinite`] where the tip is not finite.
     pub fn play(&self, goals: &Goals, channel: Channel, motion: Motion) -> Result<Vec<Sample>, TuneError> {
         let mut controller = Controller::new(self.chain.clone());
         let mut control = |tick: &Tick<'_>| {
@@ -146,8 +146,8 @@ impl Course {
         self.drive(ticks, goals.distance_mm, channel, &offset, &mut control)
     }
 
-    /// Makes the arm oscillate with a relay in place of one channel's PID; weak gains hold the other channels. Without prediction and feed-forward,
-    /// so that the limit of stability is that of a plain loop.
+    /// Makes the arm oscillate with a relay in place of one channel's PID; weak gains hold the other channels. Without
+    /// prediction and feed-forward, so that the limit of stability is that of a plain loop.
     ///
     /// # Errors
     /// See [`Relay::swing`] and [`Course::play`].
@@ -274,7 +274,7 @@ impl<'a> Loop<'a> {
         self.camera.inverse_transform_point(&Point3::from(at)).coords
     }
 
-    /// As two cameras see it.
+    /// The tip with the noise of two cameras.
     fn noisy(&mut self, p: Vector3<f64>) -> Vector3<f64> {
         let Course { cameras, noise_px, .. } = self.course;
         let mut bell = || ((0..6).map(|_| self.random.unit()).sum::<f64>() - 3.0) * 1.414 * noise_px;
@@ -322,7 +322,8 @@ pub struct Response {
     pub settling_s: f64,
     /// Mean size of the error over the last half second, mm.
     pub steady_mm: f64,
-    /// Integral of time times absolute error, mm s^2. Time restarts when a ramp ends, because the sum of the ramp decays then.
+    /// Integral of time times absolute error, mm s^2. Time restarts when a ramp ends, because the sum of the ramp
+    /// decays then.
     pub itae: f64,
     /// Root mean square acceleration of the camera, mm/s^2.
     pub shake_mm_s2: f64,

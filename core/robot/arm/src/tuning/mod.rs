@@ -1,4 +1,5 @@
-//! Finds the gains of the controller on a simulated arm: by relay feedback and rules, and by a search that minimises a stated cost.
+//! Finds the gains of the controller on a simulated arm: by relay feedback and rules, and by a search that minimises a
+//! stated cost.
 
 pub mod course;
 pub mod relay;
@@ -6,20 +7,20 @@ pub mod search;
 
 use thiserror::Error;
 
-/// Why no gains were found.
+/// Gains that could not be found.
 #[derive(Debug, Error, PartialEq)]
 pub enum TuneError {
     /// Invalid parameters of the relay.
-    #[error("the relay's {what} is {value}: it has to be above 0")]
+    #[error("the relay's {what} is {value}; it must be above 0")]
     BadRelay {
         /// Which of its numbers.
         what: &'static str,
-        /// The number.
+        /// Value of the number.
         value: f64,
     },
     /// The loop does not oscillate.
     #[error(
-        "the loop swung {periods} times in {seconds:.1} s, 12 are needed: give the relay a larger amplitude, or less hysteresis"
+        "the loop oscillated {periods} times in {seconds:.1} s, but 12 periods are needed: give the relay a larger amplitude, or less hysteresis"
     )]
     NoSwing {
         /// Whole periods observed.
@@ -28,7 +29,7 @@ pub enum TuneError {
         seconds: f64,
     },
     /// The oscillation does not become steady.
-    #[error("after {seconds:.1} s periods of the loop still differ by {:.0} %: no limit of stability can be told", share * 100.0)]
+    #[error("after {seconds:.1} s periods of the loop still differ by {:.0} %: the limit of stability is unknown", share * 100.0)]
     Uneven {
         /// Largest difference, as a share of the mean period.
         share: f64,
@@ -36,7 +37,7 @@ pub enum TuneError {
         seconds: f64,
     },
     /// The loop's output is not finite.
-    #[error("the loop answered no number after {at_s:.2} s")]
+    #[error("the loop returned a value that is not finite after {at_s:.2} s")]
     NotFinite {
         /// Time, s.
         at_s: f64,
@@ -46,7 +47,7 @@ pub enum TuneError {
     Stopped {
         /// Time, s.
         at_s: f64,
-        /// Why, in the interlock's words.
+        /// Reason, as text of the interlock.
         cause: String,
     },
 }

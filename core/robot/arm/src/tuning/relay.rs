@@ -1,5 +1,6 @@
-//! Relay feedback (Astrom and Hagglund 1984, "Automatic tuning of simple regulators with specifications on phase and amplitude margins"): a relay in
-//! the controller's place makes the loop oscillate at the period at which a proportional controller would just sustain it.
+//! Relay feedback (Astrom and Hagglund 1984, "Automatic tuning of simple regulators with specifications on phase and
+//! amplitude margins"): a relay in the controller's place makes the loop oscillate at the period at which a
+//! proportional controller would just sustain it.
 
 use std::f64::consts::{PI, TAU};
 
@@ -35,14 +36,16 @@ const PERIODS: usize = 6;
 const STEADY: f64 = 0.15;
 
 impl Relay {
-    /// Makes `plant` oscillate: it takes the relay's output for one step and returns the error after it. The error falls while the output is above 0.
+    /// Makes `plant` oscillate: it takes the relay's output for one step and returns the error after it. The error
+    /// falls while the output is above 0.
     ///
-    /// The gain is the ratio of the first harmonics of both signals over whole periods, not of the relay's amplitude to the peak: that
-    /// describing function is 19 % off for an integrator with dead time, whose swing is a triangle.
+    /// The gain is the ratio of the first harmonics of both signals over whole periods, not of the relay's amplitude to
+    /// the peak: that describing function is 19 % off for an integrator with dead time, whose swing is a triangle.
     ///
     /// # Errors
-    /// [`TuneError::BadRelay`] for an amplitude, step or time that is not above 0; [`TuneError::NoSwing`] where the error does not cross 0 often
-    /// enough, or not steadily; [`TuneError::NotFinite`] where the plant returns no finite number.
+    /// [`TuneError::BadRelay`] for an amplitude, step or time that is not above 0; [`TuneError::NoSwing`] where the
+    /// error does not cross 0 often enough, or not steadily; [`TuneError::NotFinite`] where the plant returns no finite
+    /// number.
     pub fn swing(&self, plant: &mut dyn FnMut(f64) -> f64) -> Result<Ultimate, TuneError> {
         for (what, value) in [("amplitude", self.amplitude), ("step", self.step_s), ("longest time", self.max_s)] {
             if !(value > 0.0 && value.is_finite()) {
@@ -101,31 +104,33 @@ impl Relay {
 /// Rules that compute gains from a loop's limit of stability.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// Ziegler and Nichols 1942, "Optimum settings for automatic controllers": a quarter of each swing is left in the next.
+    /// Ziegler and Nichols 1942, "Optimum settings for automatic controllers": each swing is a quarter of the one
+    /// before.
     ZieglerNichols,
-    /// Tyreus and Luyben 1992, "Tuning PI controllers for integrator/dead time processes": calmer, for integrating loops.
+    /// Tyreus and Luyben 1992, "Tuning PI controllers for integrator/dead time processes": calmer, for integrating
+    /// loops.
     TyreusLuyben,
-    /// AMIGO for integrating processes: Astrom and Hagglund 2004, "Revisiting the Ziegler-Nichols step response method for PID control"; speed and dead
-    /// time of the integrator from the limit of stability.
+    /// AMIGO for integrating processes: Astrom and Hagglund 2004, "Revisiting the Ziegler-Nichols step response method
+    /// for PID control"; speed and dead time of the integrator from the limit of stability.
     Amigo,
 }
 
-/// Parts of a PID.
+/// Parts of a PID controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parts {
-    /// Proportional.
+    /// Proportional part only.
     P,
-    /// With an integral.
+    /// Proportional and integral parts.
     Pi,
-    /// With an integral and a derivative.
+    /// All three parts.
     Pid,
 }
 
 impl Parts {
-    /// All, from the simplest.
+    /// All combinations, from the simplest.
     pub const ALL: [Self; 3] = [Self::P, Self::Pi, Self::Pid];
 
-    /// Name.
+    /// Name of the combination.
     pub fn name(self) -> &'static str {
         match self {
             Self::P => "P",
@@ -138,11 +143,11 @@ impl Parts {
 /// Gains of the three parts: 1/s, 1/s^2, 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tuned {
-    /// Proportional, 1/s.
+    /// Proportional gain, 1/s.
     pub proportional: f64,
-    /// Integral, 1/s^2.
+    /// Integral gain, 1/s^2.
     pub integral: f64,
-    /// Derivative, 1.
+    /// Derivative gain, without unit.
     pub derivative: f64,
 }
 
@@ -150,7 +155,7 @@ impl Rule {
     /// All rules.
     pub const ALL: [Self; 3] = [Self::ZieglerNichols, Self::TyreusLuyben, Self::Amigo];
 
-    /// Name.
+    /// Name of the rule.
     pub fn name(self) -> &'static str {
         match self {
             Self::ZieglerNichols => "Ziegler-Nichols",
@@ -159,7 +164,7 @@ impl Rule {
         }
     }
 
-    /// Gains of a rule; none where the rule has none for these parts.
+    /// Gains of a rule; `None` if the rule has none for these parts.
     pub fn gains(self, ultimate: &Ultimate, parts: Parts) -> Option<Tuned> {
         let Ultimate { gain, period_s, .. } = *ultimate;
         // Dead time of the integrator that has this limit, and its speed: it turns by 90 degrees, the dead time by the other 90.

@@ -25,11 +25,12 @@ pub const SHAKE_COST: f64 = 0.15;
 pub const OVERSHOOT_COST: f64 = 1.0;
 /// Smallest and largest gains that are tried: 1/s, 1/s^2, 1.
 pub type Ranges = [(f64, f64); 3];
-/// Largest proportional gain as a share of the loop's limit of stability: that of Ziegler and Nichols for a PID. The controller's predictor
-/// compensates dead time only as far as its model of the arm is right, and errors of a few mm do not reveal where it is wrong.
+/// Largest proportional gain as a share of the loop's limit of stability: that of Ziegler and Nichols for a PID. The
+/// controller's predictor compensates dead time only as far as its model of the arm is correct, and errors of a few mm
+/// do not show where it is wrong.
 pub const MAX_OF_ULTIMATE: f64 = 0.6;
 
-/// Gains that are tried on a loop.
+/// Ranges of the gains that are tried on a loop.
 pub fn ranges(ultimate: &Ultimate) -> Ranges {
     [(0.5, (MAX_OF_ULTIMATE * ultimate.gain).max(0.5)), (0.02, 10.0), (0.005, 1.0)]
 }
@@ -60,8 +61,9 @@ pub fn with(goals: &Goals, channel: Channel, tuned: Tuned) -> Goals {
     goals
 }
 
-/// Evaluates gains: `itae(step) + itae(ramp) + SWING_COST * error(swing) + SHAKE_COST * shake / 100 + OVERSHOOT_COST * (overshoot - limit)`, as the
-/// mean of the arm and of one that is [`LATER_MS`] later. Errors are those of exact tips, shaking that of noisy ones.
+/// Evaluates gains: `itae(step) + itae(ramp) + SWING_COST * error(swing) + SHAKE_COST * shake / 100 + OVERSHOOT_COST *
+/// (overshoot - limit)`, averaged over the arm and one with [`LATER_MS`] more latency. Errors are computed with exact
+/// tips, shaking with noisy ones.
 ///
 /// # Errors
 /// See [`Course::play`].
@@ -93,7 +95,8 @@ pub fn cost(
     Ok(Cost { total, itae, swing_mm, overshoot_pct, shake_mm_s2: shake })
 }
 
-/// Start points of a search: the gains of all rules, and those found for fewer parts, with a little of the missing part.
+/// Start points of a search: the gains of all rules, and those found for fewer parts, with a little of the missing
+/// part.
 pub fn starts(ultimate: &Ultimate, parts: Parts, fewer: Option<Tuned>) -> Vec<Tuned> {
     let mut out: Vec<Tuned> = Rule::ALL.iter().filter_map(|rule| rule.gains(ultimate, parts)).collect();
     if let Some(fewer) = fewer {
@@ -104,8 +107,8 @@ pub fn starts(ultimate: &Ultimate, parts: Parts, fewer: Option<Tuned>) -> Vec<Tu
     out
 }
 
-/// Searches from all `starts`; returns the best gains and their cost. Gains of unused parts are 0. Calls `tried` after each trial, which ends the
-/// search by returning false.
+/// Searches from all `starts`; returns the best gains and their cost. Gains of unused parts are 0. Calls `tried` after
+/// each trial, which ends the search by returning false.
 ///
 /// # Errors
 /// See [`Course::play`].

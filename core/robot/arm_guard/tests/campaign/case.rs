@@ -33,7 +33,7 @@ pub struct Findings {
     pub harm: Harm,
     /// Time from the harm until the arm brakes, ms.
     pub hold_ms: Option<f64>,
-    /// How the arm left its limits.
+    /// Limits that the arm exceeded.
     pub escape: Option<String>,
     /// Whether the next start forgets the stop.
     pub is_forgotten: bool,
@@ -337,7 +337,8 @@ impl Case {
         at
     }
 
-    /// A live edit of the region with the arm: no tick for a while, then the kept ticks one after the other, each with the age of its light.
+    /// A live edit of the region with the arm: no tick for a while, then the kept ticks one after the other, each with
+    /// the age of its light.
     fn live_edit(&mut self, until: Duration) -> Result<(), String> {
         let (start, mut rest) = (Instant::now(), Rest::default());
         let mut kept = std::collections::VecDeque::new();
@@ -459,7 +460,8 @@ impl Rest {
     }
 }
 
-/// Whether a start failed for a reason that passes: an earlier guard is still braking, or a loaded machine held the simulated arm or the guard up.
+/// Whether a start failed for a reason that passes: an earlier guard is still braking, or a loaded machine held the
+/// simulated arm or the guard up.
 fn passes(words: &str) -> bool {
     ["another program", "no arm answered", "did not report within"].iter().any(|reason| words.contains(reason))
 }

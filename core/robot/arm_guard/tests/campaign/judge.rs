@@ -12,7 +12,8 @@ const SPEED_WINDOW: Duration = Duration::from_millis(60);
 /// Allowance for a measured speed, rad/s.
 const SPEED_NOISE_RAD_S: f64 = 0.02;
 
-/// How the arm left its limits, by its true angles; `None` when it kept them. The limits are those of encoders, with their margin.
+/// How the arm left its limits, by its true angles; `None` when it kept them. The limits are those of encoders, with
+/// their margin.
 pub fn escape(log: &Log, chain: &Chain) -> Option<String> {
     let home = chain.stance(&JointVector::zeros()).base_from_tip * nalgebra::Vector3::z();
     let mut first = 0;
@@ -43,7 +44,8 @@ pub fn escape(log: &Log, chain: &Chain) -> Option<String> {
     None
 }
 
-/// When the last braking to rest began: its first set-point, or the moment at which the arm's own watchdog stopped it. `None` while it moves.
+/// When the last braking to rest began: its first set-point, or the moment at which the arm's own watchdog stopped it.
+/// `None` while it moves.
 pub fn braked_at(log: &Log) -> Option<Instant> {
     let speed = |index: usize| log.set_points.get(index).map_or(0.0, |(_, _, velocity)| velocity.amax());
     // It holds the arm until it is cleared, whatever set-points still arrive.

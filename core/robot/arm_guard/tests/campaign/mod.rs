@@ -1,8 +1,9 @@
-//! A seeded campaign against the real process on a pseudo-terminal: harm of every kind at a random moment of a movement. Checked on the arm's true
-//! angles: it stays within its limits, it brakes, and no stop is forgotten.
+//! A seeded campaign against the real process on a pseudo-terminal: harm of every kind at a random moment of a
+//! movement. Checked on the arm's true angles: it stays within its limits, it brakes, and no stop is forgotten.
 //!
-//! PANOSCOPE_ARM_CASES sets the number of cases (default 300), PANOSCOPE_ARM_SEED the first seed, PANOSCOPE_ARM_BESIDE how many run beside each other
-//! (default 12; few of them measure `hold_ms` best). A failure names its seed and the command that repeats it.
+//! PANOSCOPE_ARM_CASES sets the number of cases (default 300), PANOSCOPE_ARM_SEED the first seed, PANOSCOPE_ARM_BESIDE
+//! how many run beside each other (default 12; few of them measure `hold_ms` best). A failure names its seed and the
+//! command that repeats it.
 
 mod case;
 mod harm;

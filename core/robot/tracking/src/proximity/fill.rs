@@ -1,20 +1,20 @@
-//! Filling in what is not known from what is known around it.
+//! Fills unknown cells from known cells around them.
 
 /// Sweeps of the relaxation.
 const SWEEPS: usize = 60;
 /// Over-relaxation (Young 1954).
 const OMEGA: f32 = 1.75;
 
-/// Memory of the filling.
+/// Reusable buffers of the filling.
 #[derive(Clone, Debug, Default)]
 pub struct Fill {
     /// Steps from the nearest known cell; 0 for known ones, `u16::MAX` beyond reach.
     steps: Vec<u16>,
-    /// Cells to fill, the nearest to known ones first.
+    /// Cells to fill, nearest to known cells first.
     holes: Vec<u32>,
 }
 
-/// Cells beside a cell: left, right, above, below.
+/// Neighbours of a cell: left, right, above, below.
 fn beside(at: usize, columns: usize, rows: usize) -> [Option<usize>; 4] {
     let (x, y) = (at % columns, at / columns);
     [
@@ -31,8 +31,8 @@ impl Fill {
         self.steps.get(at).is_some_and(|steps| (1..u16::MAX).contains(steps))
     }
 
-    /// Fills NaN cells within `reach` cells of known ones by a membrane: each is the mean of those beside it, so that no filled value lies beyond
-    /// the known ones around it. Others stay NaN.
+    /// Fills NaN cells within `reach` cells of known ones by a membrane: each is the mean of its neighbours, so that
+    /// filled values stay within the range of the known ones around them. Others stay NaN.
     pub fn fill(&mut self, values: &mut [f32], columns: usize, rows: usize, reach: u16) {
         self.steps.clear();
         self.steps.extend(values.iter().map(|v| if v.is_finite() { 0 } else { u16::MAX }));

@@ -1,4 +1,4 @@
-//! When a distance is a warning.
+//! Turns distances into warnings.
 
 /// Thresholds of a warning.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -7,7 +7,7 @@ pub struct Rule {
     pub on_mm: f64,
     /// It ends beyond this distance, mm; not less than `on_mm`.
     pub off_mm: f64,
-    /// How long a distance must stay on one side before the warning changes, s.
+    /// Minimum time on one side of a threshold before the warning changes, s.
     pub min_s: f64,
 }
 
@@ -15,7 +15,7 @@ pub struct Rule {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hysteresis {
     is_on: bool,
-    /// Since when the distance asks for the other state, s.
+    /// Time since which the distance is on the other side of the threshold, s.
     since_s: Option<f64>,
 }
 
@@ -25,12 +25,12 @@ impl Hysteresis {
         self.is_on
     }
 
-    /// Since when distances ask for the other state, s; none while they do not.
+    /// Time since which distances are on the other side of the threshold, s; `None` if they are not.
     pub fn leans_since_s(&self) -> Option<f64> {
         self.since_s
     }
 
-    /// Takes the distance at a time; returns whether the warning is on. An unknown distance changes nothing.
+    /// Adds the distance at a time; returns whether the warning is on. An unknown distance changes nothing.
     pub fn step(&mut self, now_s: f64, distance_mm: f64, rule: &Rule) -> bool {
         if distance_mm.is_nan() {
             return self.is_on;

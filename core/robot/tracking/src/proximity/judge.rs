@@ -1,40 +1,41 @@
-//! False and missed warnings beside true distances.
+//! Counts false and missed warnings against true distances.
 
 use super::hysteresis::{Hysteresis, Rule};
 
 /// Counts of a [`Judge`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Verdict {
-    /// Pictures judged.
+    /// Images evaluated.
     pub ticks: u64,
     /// Approaches by true distance.
     pub approaches: u64,
-    /// Approaches in which nothing warned until the allowed delay after they were nearer than `on_mm` by the margin.
+    /// Approaches without a warning within the allowed delay after the distance fell below `on_mm` by more than the
+    /// margin.
     pub missed: u64,
     /// Warnings.
     pub warnings: u64,
-    /// Warnings during which, and the allowed delay before, nothing was as near as `off_mm` and the margin.
+    /// Warnings for which, from the allowed delay before their start, no distance was within `off_mm` plus the margin.
     pub false_warnings: u64,
-    /// Sum of the delays of warnings that were not missed, s, and the longest.
+    /// Sum of the delays of warnings that were not missed, s.
     pub delay_sum_s: f64,
-    /// Longest of them, s.
+    /// Maximum of these delays, s.
     pub delay_max_s: f64,
-    /// Distances that were measured where the true one was known.
+    /// Measured distances for which the true one is known.
     pub distances: u64,
-    /// Sum of their absolute and squared errors, mm.
+    /// Sum of their absolute errors, mm.
     pub error_sum_mm: f64,
-    /// See `error_sum_mm`.
+    /// Sum of their squared errors, mm^2.
     pub error_squares: f64,
 }
 
 impl Verdict {
-    /// Mean delay of warnings, s; NaN without.
+    /// Mean delay of warnings, s; NaN if there are none.
     pub fn delay_s(&self) -> f64 {
         let warned = self.approaches - self.missed;
         if warned == 0 { f64::NAN } else { self.delay_sum_s / warned as f64 }
     }
 
-    /// Root mean square of the distances' errors, mm; NaN without.
+    /// Root mean square of the distances' errors, mm; NaN if there are none.
     pub fn rms_mm(&self) -> f64 {
         if self.distances == 0 { f64::NAN } else { (self.error_squares / self.distances as f64).sqrt() }
     }
@@ -54,10 +55,11 @@ impl Verdict {
     }
 }
 
-/// Judges the warnings of one tip.
+/// Evaluates the warnings of one tip.
 ///
-/// An approach is what the rule itself makes of true distances, if it comes nearer than `on_mm` by the margin: what only grazes the threshold may be
-/// warned of or not. A warning is false where the true distance stays beyond `off_mm` and the margin all the while.
+/// An approach is what the rule itself makes of true distances, if it comes nearer than `on_mm` by the margin: what
+/// only grazes the threshold may be warned of or not. A warning is false where the true distance stays beyond `off_mm`
+/// and the margin all the while.
 #[derive(Clone, Debug)]
 pub struct Judge {
     rule: Rule,
@@ -67,7 +69,7 @@ pub struct Judge {
     verdict: Verdict,
     approach: Option<Approach>,
     warning: Option<Warning>,
-    /// Last time at which the true distance was within `off_mm` and the margin, and at which something warned, s.
+    /// Last time at which the true distance was within `off_mm` plus the margin, s.
     near_s: f64,
     warned_s: f64,
 }
@@ -75,7 +77,7 @@ pub struct Judge {
 #[derive(Clone, Copy, Debug)]
 struct Approach {
     end_s: Option<f64>,
-    /// Since when it is nearer than `on_mm` by the margin.
+    /// Time since which it is below `on_mm` by more than the margin, s.
     near_s: Option<f64>,
     warned_s: Option<f64>,
 }
@@ -86,7 +88,7 @@ struct Warning {
 }
 
 impl Judge {
-    /// Judges by a rule; a warning that is later than `delay_s` comes too late.
+    /// An evaluation by a rule; a warning later than `delay_s` counts as missed.
     pub fn new(rule: Rule, margin_mm: f64, delay_s: f64) -> Self {
         Self {
             rule,
@@ -101,7 +103,7 @@ impl Judge {
         }
     }
 
-    /// One picture: the true distance, the one that was measured (NaN where unknown), and whether it is warned of.
+    /// Adds one image: the true distance, the measured one (NaN if unknown), and whether there is a warning.
     pub fn step(&mut self, now_s: f64, true_mm: f64, measured_mm: f64, is_warned: bool) {
         self.verdict.ticks += 1;
         let error = (measured_mm - true_mm).abs();
@@ -161,7 +163,7 @@ impl Judge {
         }
     }
 
-    /// The counts, with the current contact as if it ended here.
+    /// The counts, as if the current approach ended here.
     pub fn verdict(&self) -> Verdict {
         let mut ended = self.clone();
         ended.close_approach();

@@ -1,7 +1,8 @@
-//! How near tips are to tissue and to each other, and when to warn.
+//! Distances from tips to tissue and between tips, with warnings.
 //!
-//! [`Surface`] is the tissue that a depth picture shows, with what instruments hide of it filled in; [`Hysteresis`] makes warnings of distances;
-//! [`Judge`] counts false and missed ones beside true distances. Source of the task: thesis, section 1.2.3.
+//! [`Surface`] is the tissue in a depth image, filled in where instruments hide it; [`Hysteresis`] turns distances into
+//! warnings; [`Judge`] counts false and missed warnings against true distances. Source of the task: thesis, section
+//! 1.2.3.
 
 mod fill;
 mod hysteresis;

@@ -1,27 +1,28 @@
-//! The tissue as a mesh of cells, without the instruments before it.
+//! The tissue as a mesh of cells, without the instruments in front of it.
 
 use super::fill::Fill;
 use crate::vector::{add_scaled, dot, norm, sub};
 
 /// Pixels along a cell.
 const CELL_PX: usize = 4;
-/// Pixels of a cell whose depth has to be known.
+/// Minimum number of pixels with known depth per known cell.
 const MIN_SAMPLES: usize = 4;
-/// Cells of nine that have to be known: what stands alone is a wrong match.
+/// Minimum number of known cells among nine neighbours; isolated cells are wrong matches.
 const MIN_AROUND: usize = 5;
-/// How far holes are filled in from known tissue, as a share of the focal length: half the width of a thick instrument close to the camera (5 of 35 mm).
+/// Maximum distance over which holes are filled from known tissue, as a share of the focal length: half the width of a
+/// thick instrument close to the camera (5 of 35 mm).
 const FILLED: f64 = 0.15;
 
-/// How space becomes a picture: `u = fx x / z + cx`, `v = fy y / z + cy`, px.
+/// Pinhole projection: `u = fx x / z + cx`, `v = fy y / z + cy`, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
-    /// Focal length across, px.
+    /// Horizontal focal length, px.
     pub fx: f64,
-    /// Focal length down, px.
+    /// Vertical focal length, px.
     pub fy: f64,
-    /// Principal point, px.
+    /// Horizontal principal point, px.
     pub cx: f64,
-    /// Principal point, px.
+    /// Vertical principal point, px.
     pub cy: f64,
 }
 
@@ -31,7 +32,7 @@ impl Lens {
         [(u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z]
     }
 
-    /// Pixel of a place.
+    /// Pixel of a position.
     pub fn pixel(&self, place: [f64; 3]) -> [f64; 2] {
         [self.fx * place[0] / place[2] + self.cx, self.fy * place[1] / place[2] + self.cy]
     }
@@ -44,18 +45,19 @@ pub struct Nearest {
     pub distance_mm: f64,
     /// The point, mm.
     pub place_mm: [f64; 3],
-    /// The point in the picture, px.
+    /// The point in the image, px.
     pub pixel: [f64; 2],
-    /// Whether the surface is seen there; else it is hidden, and was filled in from around.
+    /// Whether the surface is visible there; otherwise it was filled in from its surroundings.
     pub is_seen: bool,
-    /// Whether the surface is known straight ahead of the tip, seen or filled in; else there may be nearer tissue than this.
+    /// Whether the surface straight ahead of the tip is known, visible or filled in; otherwise nearer tissue may exist.
     pub is_known_ahead: bool,
 }
 
-/// The tissue in a depth picture.
+/// The tissue in a depth image.
 ///
-/// Each cell of 4 x 4 px has the median depth of its tissue. Cells that an instrument touches, a rim around it (where matchers mix depths), and
-/// cells without depth are filled in from around, because the tissue nearest to a tip is nearly always hidden by its own instrument.
+/// Each cell of 4 x 4 px has the median depth of its tissue. Cells that an instrument touches, a rim around it (where
+/// matchers mix depths), and cells without depth are filled in from their surroundings, because the tissue nearest to a
+/// tip is nearly always hidden by its own instrument.
 #[derive(Clone, Debug, Default)]
 pub struct Surface {
     columns: usize,
@@ -70,7 +72,8 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Takes a depth picture (mm, NaN where unknown) of `width` x `height` px and what of it is instrument.
+    /// Builds the surface from a depth image (mm, NaN where unknown) of `width` x `height` px and a test for instrument
+    /// pixels.
     pub fn build(
         &mut self,
         (width, height): (usize, usize),
@@ -104,7 +107,8 @@ impl Surface {
         self.fill.fill(&mut self.z_mm, self.columns, self.rows, reach);
     }
 
-    /// Gives each known cell the median of those around it: the nearest point is a minimum, which single wrong depths would win.
+    /// Gives each known cell the median of those around it: the nearest point is a minimum, which a single wrong depth
+    /// would determine.
     fn smooth(&mut self) {
         let (columns, rows) = (self.columns, self.rows);
         self.rough.clone_from(&self.z_mm);
@@ -153,14 +157,15 @@ impl Surface {
         ((column * CELL_PX) as f64 + half, (row * CELL_PX) as f64 + half)
     }
 
-    /// Position of a cell, mm; none where its depth is unknown.
+    /// Position of a cell, mm; `None` if its depth is unknown.
     fn place(&self, column: usize, row: usize) -> Option<[f64; 3]> {
         let z = self.z_mm.get(row * self.columns + column).copied().filter(|z| z.is_finite())?;
         let (u, v) = Self::middle(column, row);
         Some(self.lens?.place(u, v, f64::from(z)))
     }
 
-    /// Depth of the surface at a pixel, mm, between the middles of cells; none outside the picture and where it is unknown.
+    /// Depth of the surface at a pixel, mm, between the middles of cells; `None` outside the image and where it is
+    /// unknown.
     pub fn depth_at(&self, u: f64, v: f64) -> Option<f64> {
         let half = (CELL_PX as f64 - 1.0) / 2.0;
         let inside = |p: f64, cells: usize| p >= -0.5 && p <= (cells * CELL_PX) as f64 - 0.5;
@@ -176,7 +181,7 @@ impl Surface {
         depth.is_finite().then_some(depth)
     }
 
-    /// The nearest point to a tip; none where no depth is known at all.
+    /// The nearest point to a tip; `None` if no depth is known.
     pub fn nearest(&self, tip_mm: [f64; 3]) -> Option<Nearest> {
         let lens = self.lens?;
         let mut best: Option<(f64, usize, usize)> = None;
@@ -259,7 +264,7 @@ mod tests {
     const LENS: Lens = Lens { fx: 375.0, fy: 375.0, cx: 159.5, cy: 119.5 };
     const SIZE: (usize, usize) = (320, 240);
 
-    /// Where the ray of a pixel meets the plane `z = z0 + slope x`.
+    /// Intersection of the ray of a pixel with the plane `z = z0 + slope x`.
     fn plane(u: usize, z0: f64, slope: f64) -> f32 {
         (z0 / (1.0 - slope * (u as f64 - LENS.cx) / LENS.fx)) as f32
     }

@@ -1,11 +1,11 @@
-//! Two hands at once.
+//! Bimanual measures.
 
 use super::CELL_S;
 
-/// Of two tools in one phase, or in all.
+/// Measures of two tools in one phase, or in all.
 ///
-/// Bimanual dexterity as two figures: the share of movement that both make together, and how their speeds go together (Hofstad et al. 2013 take the
-/// correlation of the hands' speeds).
+/// Bimanual dexterity as two figures: the share of movement that both make together, and the correlation of their
+/// speeds (Hofstad et al. 2013).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Together {
     seen: u64,
@@ -34,12 +34,12 @@ impl Together {
         self.both as f64 * CELL_S
     }
 
-    /// Of the time in which either moved, both in view, the share in which both did; NaN where none did.
+    /// Share of the time with both in view and at least one moving in which both moved; NaN if none moved.
     pub fn overlap(&self) -> f64 {
         if self.any == 0 { f64::NAN } else { self.both as f64 / self.any as f64 }
     }
 
-    /// Correlation of the two speeds (Pearson), -1 to 1; NaN where one never changes.
+    /// Correlation of the two speeds (Pearson), -1 to 1; NaN if one is constant.
     pub fn correlation(&self) -> f64 {
         let n = self.seen as f64;
         let [a, b, aa, bb, ab] = self.sums;

@@ -1,11 +1,11 @@
-//! Position and velocity from samples at any times: a cubic fitted around the wanted time.
+//! Position and velocity from unevenly spaced samples: a cubic fitted around the wanted time.
 //!
-//! Savitzky and Golay 1964, "Smoothing and differentiation of data by simplified least squares procedures", without the even spacing: weights fall
-//! off as (1 - |u|^3)^3 (Cleveland 1979). Exact for places that are cubics of time.
+//! Savitzky and Golay 1964, "Smoothing and differentiation of data by simplified least squares procedures", extended to
+//! uneven spacing: weights fall off as (1 - |u|^3)^3 (Cleveland 1979). Exact for positions that are cubic in time.
 
 use super::Sample;
 
-/// Samples that a fit takes at least, where there are as many.
+/// Minimum number of samples of a fit, if there are as many.
 pub const MIN_SAMPLES: usize = 7;
 
 /// Position (mm) and velocity (mm/s) at one time. The fourth number is the depth along the view.
@@ -41,7 +41,7 @@ fn around(samples: &[Sample], at_s: f64, half_s: f64) -> &[Sample] {
     &samples[first..end]
 }
 
-/// Solves `a x = b` for a symmetric positive matrix by Cholesky's method; false where it is none.
+/// Solves `a x = b` for a symmetric positive matrix by Cholesky's method; false if it is not positive definite.
 fn solve(a: &mut [[f64; 4]; 4], b: &mut [[f64; 4]; 4]) -> bool {
     for i in 0..4 {
         for j in 0..=i {
@@ -69,7 +69,8 @@ fn solve(a: &mut [[f64; 4]; 4], b: &mut [[f64; 4]; 4]) -> bool {
     true
 }
 
-/// Fits at a time. `samples` are ordered by time; none of them gives none. With few samples the curve is of a lower degree.
+/// Fits at a time. `samples` are ordered by time; without samples the result is `None`. With few samples the curve is
+/// of a lower degree.
 pub fn fit(samples: &[Sample], at_s: f64, half_s: f64) -> Option<State> {
     let near = around(samples, at_s, half_s);
     let reach = near.iter().map(|s| (s.at_s - at_s).abs()).fold(0.0, f64::max);

@@ -1,13 +1,14 @@
-//! Sums of a tool in a phase, and the measures that they make.
+//! Sums of a tool in a phase, and the measures computed from them.
 //!
-//! Oropesa et al. 2013 define time, path, speed, depth and volume for laparoscopic instruments; D'Angelo et al. 2015 idle time.
+//! Oropesa et al. 2013 define time, path, speed, depth and volume for laparoscopic instruments; D'Angelo et al. 2015
+//! idle time.
 
 use super::CELL_S;
 use super::local_fit::State;
 use super::movement::Movement;
 use super::workspace::Workspace;
 
-/// Mean and deviation of values that are added one by one.
+/// Mean and deviation of values that are added one at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mean {
     count: u64,
@@ -40,18 +41,18 @@ impl Mean {
     }
 }
 
-/// What a tool does during a cell of time.
+/// Activity of a tool during a time cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activity {
     /// Out of view.
     Unseen,
-    /// Rests, and has for long enough.
+    /// Rests for at least the minimum time.
     Idle,
     /// Moves.
     Moving,
 }
 
-/// Of one tool in one phase, or in all. Times begin when the tool is seen first.
+/// Measures of one tool in one phase, or in all. Times begin when the tool is first seen.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measures {
     seen: u64,
@@ -132,7 +133,7 @@ impl Measures {
         self.seen + self.unseen == 0
     }
 
-    /// Time since the tool was seen first, s.
+    /// Time since the tool was first seen, s.
     pub fn time_s(&self) -> f64 {
         (self.seen + self.unseen) as f64 * CELL_S
     }
@@ -147,7 +148,7 @@ impl Measures {
         self.unseen as f64 * CELL_S
     }
 
-    /// How often it left the view.
+    /// Number of times that it left the view.
     pub fn departures(&self) -> u64 {
         self.departures
     }
@@ -187,7 +188,7 @@ impl Measures {
         self.movements
     }
 
-    /// Straight distances of movements over their paths; 1 is straight.
+    /// Straight distances of movements divided by their path lengths; 1 is straight.
     pub fn economy(&self) -> f64 {
         share(self.chord_mm, self.chord_path_mm)
     }
@@ -207,13 +208,13 @@ impl Measures {
         self.depth.map_or(f64::NAN, |(low, high)| high - low)
     }
 
-    /// Path along the view, mm: how far it went to and from the camera.
+    /// Path along the view, mm: total distance moved towards and away from the camera.
     pub fn depth_path_mm(&self) -> f64 {
         self.depth_path_mm
     }
 
-    /// Touches of the tissue; none where distances are not known. Of a tool that grasps each touch that lasts is counted as a grasp, whether its jaws
-    /// close or not: tracks of tips do not show it.
+    /// Touches of the tissue; `None` if distances are not known. Each touch that lasts counts as a grasp, whether the
+    /// jaws close or not, because tracks of tips do not show it.
     pub fn contacts(&self) -> Option<u64> {
         self.contacts
     }
@@ -224,14 +225,14 @@ impl Measures {
     }
 }
 
-/// A measure by its name.
+/// A named measure.
 #[derive(Clone, Copy)]
 pub struct Figure {
     /// Name with its unit, as in tables and JSON.
     pub name: &'static str,
-    /// Name for people, with its unit.
+    /// Title for display, with its unit.
     pub title: &'static str,
-    /// Its value; NaN where it is not known.
+    /// Its value; NaN if unknown.
     pub of: fn(&Measures) -> f64,
 }
 

@@ -1,7 +1,8 @@
 //! Measures of surgical skill from the tracks of instrument tips.
 //!
-//! A [`Session`] takes samples as they come, in bounded memory, and returns [`Measures`] per tool and per phase, and [`Together`] per pair of tools.
-//! What each measure means, with its source, is documented where it is computed:
+//! A [`Session`] takes samples in the order of time, in bounded memory, and returns [`Measures`] per tool and per
+//! phase, and [`Together`] per pair of tools. What each measure means, with its source, is documented where it is
+//! computed:
 //!
 //! | measure | file | source |
 //! |---|---|---|
@@ -15,10 +16,11 @@
 //! | contacts, grasps | [`measures`] | ours: jaws are not observed |
 //!
 //! **From samples to movement.** Time is divided into cells of [`CELL_S`]. Place and velocity in the middle of a cell come from a cubic that is
-//! fitted to the samples around it ([`local_fit`], after Savitzky and Golay 1964, for any spacing of samples). Samples farther apart than
-//! [`Settings::max_gap_s`] leave a stretch out of view between them; nearer ones are bridged. A tool is idle where it is slower than
-//! [`Settings::rest_mm_s`] for at least [`Settings::rest_s`]; a movement lies between two stretches of idleness or absence. Smoothness is measured
-//! on each movement, from where its speed first passes a tenth of its peak (or rest, where that is faster) to where it last does, on a quintic spline through its samples
+//! fitted to the samples around it ([`local_fit`], after Savitzky and Golay 1964, for any spacing of samples). Samples
+//! farther apart than [`Settings::max_gap_s`] leave a stretch out of view between them; nearer ones are bridged. A tool
+//! is idle where it is slower than [`Settings::rest_mm_s`] for at least [`Settings::rest_s`]; a movement lies between
+//! two stretches of idleness or absence. Smoothness is measured on each movement, from where its speed first passes a
+//! tenth of its peak (or rest, where that is faster) to where it last does, on a quintic spline through its samples
 //! ([`spline`]).
 
 pub mod bimanual;
@@ -49,26 +51,28 @@ pub struct Sample {
     pub place_mm: [f64; 3],
     /// Depth along the view: z in the camera's frame, mm.
     pub depth_mm: f64,
-    /// Distance to the tissue, mm, below 0 inside; NaN where it is not known.
+    /// Distance to the tissue, mm, below 0 inside; NaN if unknown.
     pub tissue_mm: f64,
 }
 
-/// What counts as what.
+/// Thresholds of the measures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Samples farther apart leave a stretch out of view between them, s.
+    /// Maximum time between samples, s; a longer gap counts as out of view.
     pub max_gap_s: f64,
-    /// Half width of the window that place and velocity are fitted in, s. Fewer than [`local_fit::MIN_SAMPLES`] samples widen it.
+    /// Half width of the window in which position and velocity are fitted, s. Fewer than [`local_fit::MIN_SAMPLES`]
+    /// samples widen it.
     pub window_s: f64,
     /// Speed below which a tool rests, mm/s.
     pub rest_mm_s: f64,
-    /// Shortest rest that is idleness, s.
+    /// Minimum rest that counts as idle, s.
     pub rest_s: f64,
-    /// Distance of knots of the spline that jerk is taken from, s: frequencies above about half its inverse are smoothed away.
+    /// Distance between knots of the spline from which jerk is computed, s: frequencies above about half its inverse
+    /// are smoothed away.
     pub knot_s: f64,
     /// Distance to the tissue at which a tip touches it, mm.
     pub touch_mm: f64,
-    /// Shortest touch that counts, s.
+    /// Minimum touch that counts, s.
     pub touch_s: f64,
 }
 

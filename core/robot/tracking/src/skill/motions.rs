@@ -1,4 +1,4 @@
-//! Motions whose measures are known in closed form, and samples of them as cameras take them: the check of everything here.
+//! Motions whose measures are known in closed form, sampled as by cameras, to check all measures.
 
 use std::f64::consts::{PI, TAU};
 
@@ -7,19 +7,19 @@ use super::movement::EDGE;
 use super::smoothness::{SPARC_AMPLITUDE, SPARC_HIGHEST_HZ};
 use super::{Sample, Session, Settings};
 
-/// When pictures are taken.
+/// Timing of the images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Timing {
     /// 30 times a second.
     Even,
-    /// The same with times that are off by up to 40 % of the interval.
+    /// As [`Self::Even`], with times off by up to 40 % of the interval.
     Uneven,
-    /// The same, and a seventh of the pictures are lost.
+    /// As [`Self::Uneven`], with a seventh of the images lost.
     Lossy,
 }
 
 impl Timing {
-    /// All.
+    /// All timings.
     pub const ALL: [Self; 3] = [Self::Even, Self::Uneven, Self::Lossy];
 
     /// Name in tables.
@@ -31,7 +31,7 @@ impl Timing {
         }
     }
 
-    /// Times of pictures over a length, s.
+    /// Times of images over a length, s.
     pub fn times_s(self, length_s: f64) -> Vec<f64> {
         let mut random = panoscope_base::random::SplitMix64(0x9e37_79b9_7f4a_7c15);
         let mut chance = || random.bits() as f64 / u64::MAX as f64;
@@ -57,27 +57,27 @@ pub struct Motion {
     pub name: &'static str,
     /// Duration, s.
     pub length_s: f64,
-    /// Position of each tool at a time, mm; none while it is out of view.
+    /// Position of each tool at a time, mm; `None` while it is out of view.
     pub paths: Vec<Path>,
     /// Distance to the tissue of all tools at a time.
     pub tissue_mm: fn(f64) -> f64,
-    /// Measures of the first tool, or of the pair (`overlap`, `correlation`), with the values that they have.
+    /// Measures of the first tool, or of the pair (`overlap`, `correlation`), with their known values.
     pub known: Vec<(&'static str, f64)>,
 }
 
-/// A known measure beside the one that was measured.
+/// A known measure and its measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Checked {
     /// Name of the measure.
     pub measure: &'static str,
-    /// Closed form.
+    /// Known value.
     pub known: f64,
-    /// What the session says.
+    /// Value that the session measured.
     pub measured: f64,
 }
 
 impl Checked {
-    /// Off by, as a share of the known value; absolute where that is zero.
+    /// Relative error; absolute if the known value is zero.
     pub fn error(&self) -> f64 {
         let off = (self.measured - self.known).abs();
         if self.known == 0.0 { off } else { off / self.known.abs() }
@@ -116,8 +116,8 @@ fn arc_length(length_s: f64, speed: impl Fn(f64) -> f64) -> f64 {
     -(0..last).map(|k| (1.0 / last as f64).hypot((spectrum[k + 1] - spectrum[k]) / spectrum[0])).sum::<f64>()
 }
 
-/// What is known of a reach over `length` mm in `s` seconds, between the edges of its movement: log dimensionless jerk, spectral arc length, root
-/// mean square of the jerk.
+/// Known measures of a reach over `length` mm in `s` seconds, between the edges of its movement: log dimensionless
+/// jerk, spectral arc length, root mean square of the jerk.
 fn known_reach(length: f64, s: f64, settings: &Settings) -> [f64; 3] {
     let peak = 1.875 * length / s;
     let edge = edge_of_reach((EDGE * peak).max(settings.rest_mm_s) * s / length);

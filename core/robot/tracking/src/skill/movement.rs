@@ -1,4 +1,4 @@
-//! One movement: from rest to rest, as far as it is seen.
+//! One movement, from rest to rest, as far as it is visible.
 
 use super::Sample;
 use super::smoothness::{Spectrum, log_dimensionless_jerk};
@@ -7,11 +7,11 @@ use crate::vector::{norm, sub};
 
 /// Share of its peak speed at which a movement begins and ends, if that is not slower than rest.
 pub const EDGE: f64 = 0.1;
-/// The same where its first bounds are taken from rougher speeds.
+/// As [`EDGE`], for the first bounds, which are found with rougher speeds.
 pub(super) const ROUGH_EDGE: f64 = 0.05;
-/// Shortest movement whose smoothness is measured, s and mm: below, noise of tracking is most of it.
+/// Minimum duration of a movement whose smoothness is measured, s; shorter ones are mostly tracking noise.
 pub const MIN_S: f64 = 0.2;
-/// See [`MIN_S`].
+/// Minimum length of a movement whose smoothness is measured, mm.
 pub const MIN_MM: f64 = 2.0;
 /// Step of integrals, s.
 const STEP_S: f64 = 0.002;
@@ -22,21 +22,21 @@ const PROFILE_STEP_S: f64 = 0.01;
 /// speed of rest, where that is greater) to where it last does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Movement {
-    /// Its begin, s.
+    /// Start, s.
     pub start_s: f64,
     /// Duration, s.
     pub duration_s: f64,
     /// Length of its path, mm.
     pub path_mm: f64,
-    /// Straight distance between its ends, mm. Economy of motion is this over the path (Oropesa et al. 2013).
+    /// Straight distance between its ends, mm. Economy of motion is this divided by the path (Oropesa et al. 2013).
     pub chord_mm: f64,
     /// Highest speed, mm/s.
     pub peak_mm_s: f64,
     /// Integral of the squared jerk, mm^2/s^5.
     pub squared_jerk: f64,
-    /// See [`log_dimensionless_jerk`].
+    /// Log dimensionless jerk; see [`log_dimensionless_jerk`].
     pub ldlj: Option<f64>,
-    /// See [`Spectrum::arc_length`].
+    /// Spectral arc length; see [`Spectrum::arc_length`].
     pub sparc: Option<f64>,
 }
 
@@ -57,8 +57,8 @@ fn integral(from: f64, to: f64, parts: usize, mut of: impl FnMut(f64) -> f64) ->
 }
 
 impl Meter {
-    /// Measures what lies between two times; none where that is too short, too little or too sparsely sampled.
-    /// It begins and ends at `rest_mm_s` at least.
+    /// Measures the movement between two times; `None` if it is too short, too small or too sparsely sampled. Its edges
+    /// have at least the speed `rest_mm_s`.
     pub fn measure(
         &mut self,
         samples: &[Sample],

@@ -15,16 +15,16 @@ pub const MAX_PHASES: usize = 64;
 /// Movements that are kept for [`Session::take_movements`].
 const MAX_MOVEMENTS: usize = 256;
 
-/// What is known of one tool.
+/// Results for one tool.
 #[derive(Clone, Copy)]
 pub struct ToolReport<'a> {
-    /// Key that it was made with.
+    /// Key given to [`Session::tool`].
     pub key: u64,
-    /// Name that it was made with.
+    /// Name given to [`Session::tool`].
     pub name: &'a str,
-    /// Over all phases.
+    /// Measures over all phases.
     pub total: &'a Measures,
-    /// One per phase, in the order of [`Session::phases`]; those in which it was never seen are empty.
+    /// Measures per phase, in the order of [`Session::phases`]; those in which it was never seen are empty.
     pub phases: &'a [Measures],
 }
 
@@ -72,7 +72,7 @@ impl Session {
         self.phase
     }
 
-    /// From the next [`Session::advance`] on all belongs to this phase. A name that was used before continues that phase.
+    /// Starts a phase with the next [`Session::advance`]. A name that was used before continues that phase.
     pub fn set_phase(&mut self, name: &str) {
         if let [only] = &mut self.phases[..]
             && only.is_empty()
@@ -94,7 +94,7 @@ impl Session {
         self.pairs.iter_mut().for_each(|pair| pair.phases.resize(count, Together::default()));
     }
 
-    /// Counts what is undecided to the phase that ends.
+    /// Assigns undecided data to the phase that ends.
     fn change_phase(&mut self) {
         for index in 0..self.tools.len() {
             let (tool, mut sink) = self.part(index);
@@ -104,7 +104,7 @@ impl Session {
         self.phase = self.next_phase;
     }
 
-    /// Number of the tool with a key, made with a name where there is none; none when there are [`MAX_TOOLS`] others.
+    /// Number of the tool with a key, created with a name if it is new; `None` if there are [`MAX_TOOLS`] others.
     pub fn tool(&mut self, key: u64, name: impl FnOnce() -> String) -> Option<usize> {
         if let Some(known) = self.tools.iter().position(|tool| tool.key == key) {
             return Some(known);
@@ -139,7 +139,8 @@ impl Session {
         (&mut self.tools[index], sink)
     }
 
-    /// A tool was seen. Samples of one tool come in the order of time: others are ignored, and so are numbers of no tool.
+    /// Adds a sample of a tool. Samples of one tool must be in the order of time; others, and unknown tool numbers, are
+    /// ignored.
     pub fn observe(&mut self, tool: usize, sample: Sample) {
         if tool < self.tools.len() {
             let (tool, mut sink) = self.part(tool);
@@ -147,7 +148,8 @@ impl Session {
         }
     }
 
-    /// Time has come to `now_s`: tools that were not seen for too long are out of view. Call it once per picture, after its samples.
+    /// Advances the time to `now_s`; tools that were not seen for too long go out of view. Call it once per image,
+    /// after its samples.
     pub fn advance(&mut self, now_s: f64) {
         if now_s.is_nan() || now_s < self.now_s {
             return;
@@ -163,7 +165,7 @@ impl Session {
         self.look_at_pairs();
     }
 
-    /// Counts what is still undecided: the operation has ended at the last time of [`Session::advance`].
+    /// Decides all remaining data: the operation has ended at the last time of [`Session::advance`].
     pub fn finish(&mut self) {
         for index in 0..self.tools.len() {
             let (tool, mut sink) = self.part(index);
@@ -218,7 +220,7 @@ impl Session {
         })
     }
 
-    /// All pairs of tools: their numbers, what they did together, and that per phase.
+    /// All pairs of tools: their numbers, and their measures in total and per phase.
     pub fn pairs(&self) -> impl Iterator<Item = (usize, usize, &Together, &[Together])> {
         let numbers = (1..self.tools.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
         numbers.zip(&self.pairs).map(|((a, b), pair)| (a, b, &pair.total, pair.phases.as_slice()))
@@ -229,7 +231,7 @@ impl Session {
         self.movements.get_mut(tool).into_iter().flat_map(|kept| kept.drain(..))
     }
 
-    /// Takes the cells of a tool that were decided since the last call, where [`Session::keep_cells`] asked for them.
+    /// Takes the cells of a tool that were decided since the last call, if [`Session::keep_cells`] was called.
     pub fn take_cells(&mut self, tool: usize) -> impl Iterator<Item = Cell> + '_ {
         self.cells.as_mut().and_then(|cells| cells.get_mut(tool)).into_iter().flat_map(|kept| kept.drain(..))
     }

@@ -1,4 +1,4 @@
-//! How smooth a movement is.
+//! Measures of smoothness.
 
 use std::f64::consts::PI;
 
@@ -6,23 +6,23 @@ use std::f64::consts::PI;
 pub const SPARC_AMPLITUDE: f64 = 0.05;
 /// Highest frequency that counts, Hz.
 pub const SPARC_HIGHEST_HZ: f64 = 10.0;
-/// The spectrum is sampled as if the movement were followed by 2 to this power times as much silence.
-/// Four, as published, makes chords of the cusps between the lobes of a steady speed: 3 % less than the integral.
+/// Zero padding of the spectrum: 2 to this power times the length. The published 4 cuts the cusps between the lobes of
+/// a constant speed, which gives 3 % less than the integral.
 const PADDING: u32 = 6;
-/// Dimensionless jerk below which a movement has none to speak of: a minimum-jerk reach has 204.8.
+/// Dimensionless jerk that counts as zero: a minimum-jerk reach has 204.8.
 const NO_JERK: f64 = 1e-3;
 
 /// Log dimensionless jerk: `-ln(T^3 / v_peak^2 * integral of |jerk|^2)`.
 ///
-/// Hogan and Sternad 2009, normalised by the peak speed as in Balasubramanian et al. 2012 and 2015. Greater is smoother; a minimum-jerk reach
-/// from rest to rest has `-ln 204.8 = -5.322` whatever its length and duration. None where nothing moves or speed does not change at all.
-/// `squared_jerk`: integral over the movement, mm^2/s^5.
+/// Hogan and Sternad 2009, normalised by the peak speed as in Balasubramanian et al. 2012 and 2015. Greater is
+/// smoother; a minimum-jerk reach from rest to rest has `-ln 204.8 = -5.322` whatever its length and duration. `None`
+/// if nothing moves or the speed is constant. `squared_jerk`: integral over the movement, mm^2/s^5.
 pub fn log_dimensionless_jerk(duration_s: f64, peak_mm_s: f64, squared_jerk: f64) -> Option<f64> {
     let jerk = duration_s.powi(3) / (peak_mm_s * peak_mm_s) * squared_jerk;
     (peak_mm_s > 0.0 && jerk.is_finite() && jerk > NO_JERK).then(|| -jerk.ln())
 }
 
-/// Memory of spectra.
+/// Reusable buffers of spectra.
 #[derive(Clone, Debug, Default)]
 pub struct Spectrum {
     re: Vec<f64>,
@@ -32,8 +32,9 @@ pub struct Spectrum {
 impl Spectrum {
     /// Spectral arc length of a speed profile (SPARC; Balasubramanian et al. 2015).
     ///
-    /// `-integral of sqrt((1/w_c)^2 + (dV/dw)^2) dw` from 0 to `w_c`, where V is the amplitude of the spectrum, 1 at zero, and `w_c` the last frequency
-    /// up to 10 Hz at which V reaches 0.05. Greater is smoother. `speeds` are `step_s` apart. None of profiles without length or speed.
+    /// `-integral of sqrt((1/w_c)^2 + (dV/dw)^2) dw` from 0 to `w_c`, where V is the amplitude of the spectrum, 1 at
+    /// zero, and `w_c` the last frequency up to 10 Hz at which V reaches 0.05. Greater is smoother. `speeds` are
+    /// `step_s` apart. `None` for profiles without length or speed.
     pub fn arc_length(&mut self, speeds: &[f64], step_s: f64) -> Option<f64> {
         if speeds.len() < 4 || step_s.is_nan() || step_s <= 0.0 {
             return None;

@@ -1,20 +1,20 @@
-//! A quintic spline through samples at any times: places, velocities and jerks of a movement.
+//! A quintic spline fitted to unevenly spaced samples: positions, velocities and jerks of a movement.
 //!
-//! Quintic splines are what biomechanics takes jerk from (Woltring 1986, "A Fortran package for generalized, cross-validatory spline smoothing and
-//! differentiation"). Here they are fitted by least squares to evenly spaced knots, with a very small penalty on third differences (Eilers and Marx 1996,
-//! "Flexible smoothing with B-splines and penalties") that only matters between samples that are missing. Exact for places that are quintics of time, as a
-//! minimum-jerk reach is.
+//! Biomechanics computes jerk from quintic splines (Woltring 1986, "A Fortran package for generalized, cross-validatory
+//! spline smoothing and differentiation"). Here they are fitted by least squares to evenly spaced knots, with a very
+//! small penalty on third differences (Eilers and Marx 1996, "Flexible smoothing with B-splines and penalties") that
+//! only matters where samples are missing. Exact for positions that are quintic in time, as a minimum-jerk reach is.
 
 use super::Sample;
 
-/// Of the spline.
+/// Degree of the spline.
 const DEGREE: usize = 5;
 /// Basis functions that are not zero at a time, and the band of the equations.
 const ORDER: usize = DEGREE + 1;
 /// Weight of the penalty per sample in a knot's interval.
 const PENALTY: f64 = 1e-10;
 
-/// A spline and the memory to fit the next one.
+/// A spline with reusable buffers.
 #[derive(Clone, Debug, Default)]
 pub struct Spline {
     start_s: f64,
@@ -43,7 +43,8 @@ fn basis(u: f64, degree: usize) -> [f64; ORDER] {
 }
 
 impl Spline {
-    /// Fits to samples between two times. False, and no spline, when fewer than eight samples or no time lie between them.
+    /// Fits to samples between two times. Returns false, without a spline, if there are fewer than eight samples or no
+    /// time between them.
     pub fn fit(&mut self, samples: &[Sample], start_s: f64, end_s: f64, knot_s: f64) -> bool {
         let first = samples.partition_point(|s| s.at_s < start_s - 1e-9);
         let end = samples.partition_point(|s| s.at_s <= end_s + 1e-9);
@@ -130,7 +131,7 @@ impl Spline {
         (interval, x - interval as f64)
     }
 
-    /// Place (0), velocity (1), acceleration (2) or jerk (3) at a time, mm / s^`derivative`; zero before anything was fitted.
+    /// Place (0), velocity (1), acceleration (2) or jerk (3) at a time, mm / s^`derivative`; zero before the first fit.
     pub fn at(&self, at_s: f64, derivative: usize) -> [f64; 3] {
         if self.intervals == 0 {
             return [0.0; 3];

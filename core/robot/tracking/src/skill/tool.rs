@@ -1,4 +1,4 @@
-//! One tool: its samples become cells, its cells movements.
+//! One tool: turns samples into cells and cells into movements.
 
 use std::collections::VecDeque;
 
@@ -8,9 +8,9 @@ use super::movement::{Meter, Movement, ROUGH_EDGE};
 use super::{CELL_S, Sample, Settings};
 use crate::proximity::Hysteresis;
 
-/// Longest movement: a longer one is measured in parts, s.
+/// Maximum duration of a movement, s; longer ones are measured in parts.
 const MAX_S: f64 = 30.0;
-/// Samples that are kept at most.
+/// Maximum number of samples that are kept.
 const MAX_SAMPLES: usize = 8192;
 
 /// The middle of a cell, s.
@@ -26,15 +26,15 @@ fn cell_from(at_s: f64) -> i64 {
 /// A cell that is decided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
-    /// Its number: it lasts from `index * CELL_S` to the next.
+    /// Number of the cell, which lasts from `index * CELL_S` to the next.
     pub index: i64,
-    /// What the tool does.
+    /// Activity of the tool.
     pub activity: Activity,
-    /// Where it is.
+    /// Position and velocity of the tool.
     pub state: State,
 }
 
-/// What a tool hands on while samples come in.
+/// Receives the results of a tool.
 pub struct Sink<'a> {
     pub settings: &'a Settings,
     pub meter: &'a mut Meter,
@@ -49,19 +49,19 @@ pub struct Tool {
     pub name: String,
     pub total: Measures,
     pub phases: Vec<Measures>,
-    /// Decided cells that no pair has looked at; those out of view are excluded.
+    /// Decided cells that pairs have not compared yet; those out of view are excluded.
     pub waiting: VecDeque<(i64, bool, f32)>,
     /// All cells before this one are decided.
     pub decided: i64,
     samples: Vec<Sample>,
-    /// Cell that is worked out next, while in view.
+    /// Next cell to decide, while in view.
     next: Option<i64>,
-    /// When it was last in view, while it is not.
+    /// Whether it has left the view.
     left: bool,
-    /// Slow cells that are not yet long enough for idleness.
+    /// Slow cells that do not yet last long enough to count as idle.
     slow: VecDeque<(i64, State)>,
     is_idle: bool,
-    /// First cell of the movement, and speeds since.
+    /// First cell of the movement.
     first: i64,
     speeds: Vec<f32>,
     touch: Hysteresis,
@@ -80,7 +80,7 @@ impl Tool {
         }
     }
 
-    /// Takes a sample; one that is not newer than the last, or holds no position, is ignored.
+    /// Adds a sample; one that is not newer than the last, or has no position, is ignored.
     pub fn observe(&mut self, sample: Sample, sink: &mut Sink<'_>) {
         let is_place = sample.place_mm.iter().all(|v| v.is_finite()) && sample.at_s.is_finite();
         if !is_place || self.samples.last().is_some_and(|last| sample.at_s <= last.at_s) {
@@ -119,7 +119,7 @@ impl Tool {
         self.both(sink.phase, |m| m.contact(is && !was, lasted_s));
     }
 
-    /// Nothing was seen up to a time: after the longest gap the tool is out of view.
+    /// Advances to a time without samples; after the maximum gap the tool is out of view.
     pub fn advance(&mut self, now_s: f64, sink: &mut Sink<'_>) {
         if self.next.is_some() {
             if self.samples.last().is_some_and(|last| now_s - last.at_s > sink.settings.max_gap_s + 1e-9) {
@@ -147,7 +147,7 @@ impl Tool {
         self.both(sink.phase, Measures::depart);
     }
 
-    /// Works out all cells up to the last sample, and ends the movement: what follows belongs to another phase or stretch.
+    /// Decides all cells up to the last sample and ends the movement; later samples belong to another phase or stretch.
     pub fn cut(&mut self, sink: &mut Sink<'_>) {
         let Some(last) = self.samples.last().filter(|_| self.next.is_some()) else { return };
         self.work(last.at_s + 1e-9, sink);
@@ -157,7 +157,7 @@ impl Tool {
         self.end_movement(sink);
     }
 
-    /// Works out cells whose middle is not after a time.
+    /// Decides cells whose middle is not after a time.
     fn work(&mut self, until_s: f64, sink: &mut Sink<'_>) {
         while let Some(cell) = self.next.filter(|cell| middle_s(*cell) <= until_s) {
             self.next = Some(cell + 1);

@@ -1,9 +1,9 @@
 //! The workspace of a tip.
 
-/// Box and spread of places that are added one by one.
+/// Bounding box and spread of positions that are added one at a time.
 ///
-/// The ellipsoid holds 95 % of a normal distribution with the same mean and covariance (7.815 is that quantile of chi-squared with three degrees):
-/// a single outlier moves it little, while the box grows to it.
+/// The ellipsoid holds 95 % of a normal distribution with the same mean and covariance (7.815 is that quantile of
+/// chi-squared with three degrees): a single outlier affects it little but extends the box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Workspace {
     count: f64,
@@ -22,11 +22,11 @@ impl Default for Workspace {
 
 /// 95 % quantile of chi-squared with three degrees of freedom.
 const CHI2_95: f64 = 7.814_727_903_251_179;
-/// The parts of `spread`.
+/// Index pairs of the entries of `spread`.
 const PARTS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
 impl Workspace {
-    /// Adds a place, mm.
+    /// Adds a position, mm.
     pub fn add(&mut self, place: [f64; 3]) {
         self.count += 1.0;
         let before: [f64; 3] = std::array::from_fn(|k| place[k] - self.mean[k]);
@@ -39,7 +39,7 @@ impl Workspace {
         (0..3).for_each(|k| self.high[k] = self.high[k].max(place[k]));
     }
 
-    /// Sides of the box, mm; NaN without places.
+    /// Sides of the box, mm; NaN without positions.
     pub fn box_mm(&self) -> [f64; 3] {
         if self.count == 0.0 { [f64::NAN; 3] } else { std::array::from_fn(|k| self.high[k] - self.low[k]) }
     }
@@ -49,7 +49,7 @@ impl Workspace {
         self.box_mm().iter().product::<f64>() * 1e-3
     }
 
-    /// Volume of the ellipsoid, cm^3; 0 for places in one plane.
+    /// Volume of the ellipsoid, cm^3; 0 for positions in one plane.
     pub fn ellipsoid_cm3(&self) -> f64 {
         if self.count < 2.0 {
             return f64::NAN;

@@ -1,21 +1,23 @@
-//! The cheapest one-to-one assignment (Kuhn 1955, "The Hungarian method"; by shortest augmenting paths after Jonker and Volgenant
-//! 1987), in fixed memory.
+//! The cheapest one-to-one assignment (Kuhn 1955, "The Hungarian method"; by shortest augmenting paths after Jonker and
+//! Volgenant 1987), in fixed memory.
 
 /// Maximum number of rows.
 pub const ROWS: usize = 8;
 /// Maximum number of columns.
 pub const COLUMNS: usize = 16;
-/// Columns of the problem that is solved: each row has one more, which leaves it unassigned.
+/// Columns of the solved problem: one more per row, which leaves it unassigned.
 const ALL: usize = COLUMNS + ROWS;
-/// Cost of leaving a row unassigned: more than any pair, so that as many rows as possible are assigned, and these as cheaply as possible.
+/// Cost of leaving a row unassigned: more than any pair, so that as many rows as possible are assigned, and these as
+/// cheaply as possible.
 const UNASSIGNED: f64 = 1e6;
 /// Cost of a forbidden pair.
 const FORBIDDEN: f64 = 1e12;
 
-/// Cost of each pair; infinite where a pair is forbidden.
+/// Cost of each pair; infinite if the pair is forbidden.
 pub type Costs = [[f64; COLUMNS]; ROWS];
 
-/// Assigns the first `rows` rows to the first `columns` columns. Returns the column of each row, none where no pair is allowed.
+/// Assigns the first `rows` rows to the first `columns` columns. Returns the column of each row, `None` if no pair is
+/// allowed.
 pub fn assign(costs: &Costs, rows: usize, columns: usize) -> [Option<usize>; ROWS] {
     let (rows, columns) = (rows.min(ROWS), columns.min(COLUMNS));
     let cost = |row: usize, column: usize| {

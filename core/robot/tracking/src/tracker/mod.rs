@@ -1,8 +1,9 @@
 //! Tracks instrument tips in space, selects the leading one, and predicts it while it is hidden.
 //!
-//! Every tip in view has a track with its own filter. Each tick assigns all reports to all tracks at once (global nearest neighbour; Bar-Shalom, Li,
-//! Kirubarajan 2001, and Blackman and Popoli 1999, chapter 6). A tool that passes in front of the leading one therefore keeps its own reports. Where
-//! detectors number tools, the number decides; the class breaks ties.
+//! Every tip in view has a track with its own filter. Each tick assigns all reports to all tracks at once (global
+//! nearest neighbour; Bar-Shalom, Li, Kirubarajan 2001, and Blackman and Popoli 1999, chapter 6). A tool that passes in
+//! front of the leading one therefore keeps its own reports. If detectors number tools, the number decides; the class
+//! breaks ties.
 
 mod assign;
 mod report;
@@ -36,7 +37,7 @@ pub struct Tracker {
     last_ns: Option<i64>,
     /// Start of the time in which only other tips are seen.
     others_ns: Option<i64>,
-    /// Whether the leading tip is covered by another tool in the next tick.
+    /// Whether another tool covers the leading tip in the next tick.
     is_covered: bool,
 }
 
@@ -44,14 +45,14 @@ pub struct Tracker {
 const COVERED_S: f64 = 5.0;
 
 impl Tracker {
-    /// Says that the tool with a number (or below 0 with a class) is in view in the next tick, with its tip covered by another tool. If it leads, no
-    /// other tool takes the lead meanwhile, for 5 s at most.
+    /// Marks the tool with this number (or, if it is below 0, this class) as in view in the next tick with its tip
+    /// covered by another tool. If it leads, no other tool takes the lead for up to 5 s.
     pub fn cover(&mut self, track_id: i64, class_index: u32) {
         self.is_covered |= self.leading().is_some_and(|track| track.is_tool(track_id, class_index));
     }
 
-    /// Processes one tick: the reports of all detectors at `capture_ns`, and the camera's pose then (the identity where it is not known). Time that
-    /// goes back starts anew.
+    /// Processes one tick: the reports of all detectors at `capture_ns`, and the camera's pose then (identity if
+    /// unknown). Time that goes backwards resets the tracker.
     pub fn step(
         &mut self,
         capture_ns: i64,
@@ -166,7 +167,7 @@ impl Tracker {
         self.tracks.iter().find(|track| Some(track.key) == self.leader)
     }
 
-    /// Position (mm) and velocity (mm/s) in the room; none while lost.
+    /// Position (mm) and velocity (mm/s) in the room; `None` while lost.
     pub fn state(&self) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let filter = self.leading()?.filter?;
         Some((filter.position_mm(), filter.velocity_mm_s()))
@@ -177,12 +178,12 @@ impl Tracker {
         self.leading().and_then(|track| track.filter).map_or(f64::NAN, |filter| filter.deviation_mm())
     }
 
-    /// Class of the leading tip: that which most of its last reports have, or [`UNKNOWN_CLASS`].
+    /// Class of the leading tip: the most frequent in its last reports, or [`UNKNOWN_CLASS`].
     pub fn class_index(&self) -> u32 {
         self.leading().map_or(UNKNOWN_CLASS, Track::class_index)
     }
 
-    /// Number of the leading tool; -1 where it has none.
+    /// Number of the leading tool; -1 if it has none.
     pub fn track_id(&self) -> i64 {
         self.leading().filter(|track| track.filter.is_some()).map_or(-1, |track| track.number)
     }

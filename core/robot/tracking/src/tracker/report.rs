@@ -1,15 +1,15 @@
-//! What a tracker is given: rules, and tips as detectors report them.
+//! Inputs of a tracker: rules, and tips as detectors report them.
 
 use nalgebra::Vector3;
 
 use crate::kalman::Model;
 
-/// How tips are tracked.
+/// Parameters of the tracking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rules {
-    /// How tips move, and the gate.
+    /// Parameters of the motion and of the gate.
     pub model: Model,
-    /// Standard deviation of a tip's position in the picture, px.
+    /// Standard deviation of a tip's position in the image, px.
     pub lateral_px: f64,
     /// Standard deviation of its disparity, px.
     pub disparity_px: f64,
@@ -21,11 +21,11 @@ pub struct Rules {
     pub min_score: f64,
     /// Longest prediction of an unseen tip, s.
     pub max_gap_s: f64,
-    /// Time for which only other tips are seen before one of them leads, s.
+    /// Time without the leading tip, while others are seen, before one of them leads, s.
     pub switch_s: f64,
 }
 
-/// Class of a tool whose kind a detector does not know. It counts as no class: it neither speaks for nor against a track.
+/// Class of a tool whose kind a detector does not know. It is ignored when reports are compared with tracks.
 pub const UNKNOWN_CLASS: u32 = u32::MAX;
 
 /// A tip as a detector reports it, in the left camera's frame.
@@ -35,11 +35,12 @@ pub struct Report {
     pub xyz_mm: Vector3<f64>,
     /// Confidence of the detector, 0 to 1.
     pub score: f64,
-    /// Number of the tool where the detector gives one, else below 0.
+    /// Number of the tool if the detector gives one, else below 0.
     pub track_id: i64,
     /// Class of the tool, by the detector's labels, or [`UNKNOWN_CLASS`].
     pub class_index: u32,
-    /// Age of the picture in which it was seen, s. `xyz_mm` is relative to the camera of now, for a tip that stood still since.
+    /// Age of the image in which it was seen, s. `xyz_mm` is relative to the current camera pose, for a tip that has
+    /// not moved since.
     pub age_s: f64,
 }
 

@@ -146,8 +146,9 @@ fn invalid_reports_are_ignored() {
     assert_eq!(step(&mut tracker, 0, &[]), Known::Lost);
 }
 
-/// Two tools without numbers whose trajectories cross. Returns the share of ticks in which the tracker knows the first one, and its largest error in
-/// mm. Noise as stereo has it; the tip farther from the camera is hidden while both lie within `hides_mm` across.
+/// Two tools without numbers whose trajectories cross. Returns the share of ticks in which the tracker knows the first
+/// one, and its largest error in mm. Noise as stereo has it; the tip farther from the camera is hidden while both lie
+/// within `hides_mm` across.
 fn cross(trajectories: [&dyn Fn(f64) -> Vector3<f64>; 2], hides_mm: f64, classes: [u32; 2], seed: u64) -> (f64, f64) {
     let (mut tracker, mut random) = (Tracker::default(), SplitMix64(seed));
     let (mut known, mut worst) = (0, 0.0_f64);

@@ -5,10 +5,10 @@ use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use super::report::{Report, Rules, UNKNOWN_CLASS, passed_s};
 use crate::kalman::{Kalman, stereo_covariance};
 
-/// Largest distance of an observation from the predicted or last seen position, mm. The gate alone grows with the time that a tip is hidden, until
-/// everything fits.
+/// Largest distance of an observation from the predicted or last seen position, mm. Needed because the gate grows while
+/// a tip is hidden, until every report passes.
 const JUMP_MM: f64 = 6.0;
-/// Reports nearer to each other than this are two reports of one tip, mm.
+/// Distance below which two reports belong to one tip, mm.
 const SAME_MM: f64 = 2.5;
 
 /// Added to the cost where the tool's number agrees: outweighs every distance.
@@ -19,7 +19,7 @@ const OTHER_CLASS: f64 = 6.0;
 const LOST_MM: f64 = 3.0;
 /// Older observations count as this old, s.
 const MAX_AGE_S: f64 = 0.5;
-/// Observations after which the class is certain.
+/// Number of observations after which the class is certain.
 const SUREST_CLASS: u32 = 30;
 
 /// A report in the room.
@@ -31,9 +31,9 @@ pub struct Observation {
     at_mm: Vector3<f64>,
     covariance_mm2: Matrix3<f64>,
     age_s: f64,
-    /// Tangent of the angle to the centre of the picture that both cameras share.
+    /// Tangent of the angle to the centre of the image that both cameras share.
     off_axis: f64,
-    /// Whether a track took it.
+    /// Whether it is assigned to a track.
     pub is_taken: bool,
 }
 
@@ -73,7 +73,7 @@ impl Observation {
 pub struct Track {
     /// Identifies the track; older ones have smaller keys.
     pub key: u64,
-    /// Position and velocity; none while lost.
+    /// Position and velocity; `None` while lost.
     pub filter: Option<Kalman>,
     /// Number of the tool; below 0 until a detector gives one.
     pub number: i64,
@@ -81,7 +81,7 @@ pub struct Track {
     pub seen_ns: i64,
     /// Index of the report in which it was last seen.
     pub report: usize,
-    /// See [`Observation::off_axis`].
+    /// Off-axis angle of the last observation; see [`Observation::off_axis`].
     pub off_axis: f64,
     /// Position at which it was last seen, mm.
     seen_mm: Vector3<f64>,
@@ -91,7 +91,7 @@ pub struct Track {
 }
 
 impl Track {
-    /// Starts a track; none when a number is not finite.
+    /// Starts a track; `None` when a number is not finite.
     pub fn begin(key: u64, observation: &Observation, now_ns: i64) -> Option<Self> {
         let filter = Kalman::begin(&observation.at_mm, &observation.covariance_mm2)?;
         Some(Self {
@@ -122,17 +122,17 @@ impl Track {
         self.number >= 0 && observation.report.track_id == self.number
     }
 
-    /// Class that most of the last observations have; [`UNKNOWN_CLASS`] where none has one.
+    /// Most frequent class of the last observations; [`UNKNOWN_CLASS`] if they have none.
     pub fn class_index(&self) -> u32 {
         self.class_index
     }
 
-    /// Whether this is the tip of a tool, by its number, or by its class where it has none.
+    /// Whether this is the tip of a tool, by its number or, without one, by its class.
     pub fn is_tool(&self, track_id: i64, class_index: u32) -> bool {
         if self.number >= 0 && track_id >= 0 { self.number == track_id } else { self.class_index == class_index }
     }
 
-    /// Cost of assigning an observation to this track; infinite where it cannot be this tip.
+    /// Cost of assigning an observation to this track; infinite if it cannot be this tip.
     pub fn cost(&self, observation: &Observation, now_ns: i64, rules: &Rules) -> f64 {
         // Another number is another tool, however near it is.
         if self.number >= 0 && observation.report.track_id >= 0 && !self.has_number(observation) {
@@ -168,8 +168,8 @@ impl Track {
         passed_s(self.seen_ns, now_ns)
     }
 
-    /// Whether an observation is near enough to the predicted position, or to the last seen one, because a hidden tip may have stopped. Very near
-    /// observations always pass: detectors err more than their model says.
+    /// Whether an observation is near enough to the predicted position, or to the last seen one, because a hidden tip
+    /// may have stopped. Very near observations always pass, because detector errors exceed the model.
     fn may_be(
         &self,
         filter: &Kalman,

@@ -34,13 +34,13 @@ pub(super) struct Opened {
 /// When the new instance of a node opens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Opens {
-    /// Beside the running nodes.
+    /// Next to the running nodes.
     Beside,
     /// After its predecessor closed (exclusive device, or a node that acts on the world).
     AfterClose,
 }
 
-/// How the values of a node change.
+/// Change of the values of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Values {
     Same,
@@ -50,7 +50,7 @@ pub(super) enum Values {
     Reopen(Opens),
 }
 
-/// What a change does to a node of the new graph.
+/// Effect of a change on a node of the new graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NodeChange {
     /// There was no node of this name.
@@ -85,7 +85,7 @@ impl NodeChange {
         matches!(self, Self::RetainedFrames { values: Values::Live, .. })
     }
 
-    /// Whether the node gets its inputs anew.
+    /// Whether the node's inputs are rebuilt.
     pub fn gets_inputs(self) -> bool {
         self.is_added() || self.is_replaced() || self.is_rewired()
     }
@@ -123,11 +123,12 @@ pub(super) struct Change {
     pub removed: Vec<usize>,
     /// Old regions that the change holds.
     pub held: Vec<(Arc<Region>, Extent)>,
-    /// Sources whose thread must leave for the switch.
+    /// Sources whose thread must end for the switch.
     pub quiet: Vec<usize>,
 }
 
-/// The connections of a node's inputs as the scheduler sees them: between slots instead of nodes, wherever they stand in the text.
+/// The connections of a node's inputs as the scheduler sees them: between slots instead of nodes, independent of their
+/// order in the text.
 pub(super) fn connections(graph: &Graph, slots: &[usize], node: usize) -> Vec<Edge> {
     let to_node = slots[node];
     let of_slots = |edge: &Edge| Edge { from_node: slots[edge.from_node], to_node, span: 0..0, ..edge.clone() };
@@ -148,7 +149,8 @@ pub(super) fn inherited(old: &[Edge], new: &[Edge]) -> Vec<Option<usize>> {
         .collect()
 }
 
-/// Whether a node of the running graph gets a new runtime: it is of another type or a rebuilt plugin, or runs elsewhere.
+/// Whether a node of the running graph gets a new runtime: it is of another type or a rebuilt plugin, or runs in
+/// another process or on another machine.
 fn is_replaced(
     runtime: &NodeRuntime,
     node_type: &'static abi::NodeType,
@@ -164,7 +166,7 @@ fn is_replaced(
         || as_once.contains(&is.id)
 }
 
-/// How the values of a node differ that keeps its runtime.
+/// Which values of a node that keeps its runtime differ.
 fn changed_values(description: &NodeType, was: &Node, is: &Node) -> Values {
     let differs = |i: &usize| was.params.get(*i) != is.params.get(*i);
     let changed: Vec<usize> = (0..description.params.len()).filter(differs).collect();

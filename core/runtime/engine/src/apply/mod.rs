@@ -1,8 +1,8 @@
 //! Changing a running graph: one transaction from the graph that runs to another checked one.
 //!
-//! New nodes open beside the running ones. The regions that the change touches stop admitting ticks; sources continue and
-//! their ticks are retained. When the ticks inside have finished, the engine switches the plan and the retained ticks enter. Other regions
-//! are not affected. A failure before the switch leaves everything as it was.
+//! New nodes open while the old ones run. The regions that the change touches stop admitting ticks; sources continue
+//! and their ticks are retained. When the ticks inside have finished, the engine switches the plan and the retained
+//! ticks enter. Other regions are not affected. A failure before the switch leaves everything as it was.
 
 mod change;
 mod switch;
@@ -30,14 +30,15 @@ use crate::region::Region;
 use crate::schedule::Ready;
 use crate::sync::lock;
 
-/// Longest wait for the ticks inside a region.
+/// Maximum wait for the ticks inside a region.
 const MAX_DRAIN: Duration = Duration::from_secs(10);
 
-/// Longest wait for the threads of nodes that were removed.
+/// Maximum wait for the threads of nodes that were removed.
 const MAX_LEAVE: Duration = Duration::from_secs(2);
 
 impl Engine {
-    /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or nothing.
+    /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or
+    /// nothing.
     ///
     /// Nodes of the same name and type keep their instance, counters and inputs; untouched paths lose no tick.
     ///
@@ -47,8 +48,8 @@ impl Engine {
         self.apply_when(graph, catalog, plugins, &When::Now)
     }
 
-    /// Like [`Self::apply`], switched between two named ticks: for each source of `at`, the tick of that number is the first that meets the
-    /// new graph. Blocks until these ticks have come.
+    /// Like [`Self::apply`], but switched at given ticks: for each source of `at`, the tick of that number is the first
+    /// that meets the new graph. Blocks until these ticks have come.
     ///
     /// # Errors
     /// As [`Self::apply`], and when such a tick has already entered the graph.
@@ -134,7 +135,7 @@ impl Engine {
         Ok(switch.run(change, graph, early))
     }
 
-    /// Waits for the ticks that come before the change.
+    /// Waits for the ticks before the change.
     fn come_to(&self, old: &Plan, change: &Change, when: &When<'_>) -> Result<(), ApplyError> {
         let shared = &self.shared;
         let mut named = Vec::new();
@@ -167,7 +168,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Opens nodes of the new graph one after the other, each within its time limit. If one fails, closes those opened before it.
+    /// Opens nodes of the new graph one after the other, each within its time limit. If one fails, closes those opened
+    /// before it.
     fn open_each(&self, change: &Change, graph: &Graph, nodes: &[usize]) -> Result<Vec<Opened>, ApplyError> {
         let shared = &self.shared;
         let runtime = |node: usize| &change.plan.runtimes[change.plan.slots[node]];
@@ -211,7 +213,7 @@ impl Engine {
         }
     }
 
-    /// Opens the instances that may be open beside the running nodes.
+    /// Opens the instances that may be open next to the running nodes.
     fn open_early(&self, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
         // A decider sets the tick at which a node continues with a new instance.
         let scripted = self.shared.context.decider.is_some();
@@ -295,7 +297,7 @@ impl Engine {
         }
     }
 
-    /// Transfers the states of replaced nodes to their successors, which are open beside them. All are at rest.
+    /// Transfers the states of replaced nodes to their successors, which are open at the same time. All are at rest.
     fn transfer_states(&self, old: &Plan, change: &Change, early: &mut Vec<Opened>) -> Result<(), ApplyError> {
         let mut rest = std::mem::take(early).into_iter();
         let mut failed = Ok(());
@@ -474,8 +476,7 @@ impl Engine {
                 number.map(|number| threads.remove(&number));
                 drop(threads);
                 if let Some(Err(cause)) = number.map(|number| self.shared.pool.give_up(number)) {
-                    self.shared
-                        .fail_for_good(format!("no thread could be started in place of one that hangs: {cause}"));
+                    self.shared.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
                 }
                 continue;
             }

@@ -260,7 +260,7 @@ impl Switch<'_> {
     }
 }
 
-/// Takes a node out of the graph; `true` when it was not finished.
+/// Removes a node from the graph; `true` when it was not finished.
 fn retire(runtime: &Arc<NodeRuntime>) -> bool {
     let unfinished = lock(&runtime.join).finish();
     runtime.recovery.begin_restart();

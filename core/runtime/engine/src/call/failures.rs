@@ -62,7 +62,7 @@ impl NodeRuntime {
         self.report_fault(context, Cause::Error, done, Some(tick.seq), None, words);
     }
 
-    /// Saves where a failed source is. From its start it would meet the same fault again, forever.
+    /// Saves where a failed source is. From its start it would repeat the same fault forever.
     #[cold]
     fn save_position(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
         if !exec.source || !exec.instance.saves_state() {
@@ -75,8 +75,8 @@ impl NodeRuntime {
         Ok(())
     }
 
-    /// The position at which a reopened source continues. The caller puts it back only if the instance understood it, so that a position
-    /// on which an instance hangs is not tried twice.
+    /// The position at which a reopened source continues. The caller puts it back only if the instance understood it,
+    /// so that a position on which an instance hangs is not tried twice.
     pub(crate) fn take_position(&self, instance: &Instance) -> Option<Vec<u8>> {
         if instance.is_open() { self.recovery.take_position() } else { None }
     }

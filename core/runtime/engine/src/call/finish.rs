@@ -33,7 +33,7 @@ impl NodeRuntime {
             return;
         }
         if failure.is_empty() {
-            failure = "it gave no reason".to_owned();
+            failure = "it returned no message".to_owned();
         }
         let words = format!("its output could not be completed: {failure}");
         bump(&self.stats.faults);
@@ -48,7 +48,7 @@ impl NodeRuntime {
         self.finish(context, &mut instance);
     }
 
-    /// Records that the node lost data for good: the run has failed.
+    /// Records that the node lost data irrecoverably: the run has failed.
     #[cold]
     pub fn lost(&self, context: &RunContext, words: &str) {
         lock(&context.stopped).entry(self.id.clone()).or_insert_with(|| words.to_owned());

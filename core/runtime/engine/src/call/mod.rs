@@ -39,7 +39,7 @@ const SILENT_CALLS: u32 = 30;
 /// Readers that run inline have one input.
 const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
 
-/// How a call ended.
+/// Result of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CallOutcome {
     Ok,
@@ -74,7 +74,7 @@ pub(crate) struct Called {
     pub arrived_ns: Option<i64>,
 }
 
-/// Why a call has no outcome.
+/// A call without an outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NoOutcome {
     /// The engine closed the node, which does not run again.
@@ -100,7 +100,8 @@ fn bytes<'f>(frames: impl Iterator<Item = &'f Frame>) -> u64 {
 }
 
 impl NodeRuntime {
-    /// Takes the node's [`Exec`], calls the node for one tick, and puts the `Exec` back. The caller releases the inputs.
+    /// Takes the node's [`Exec`], calls the node for one tick, and puts the `Exec` back. The caller releases the
+    /// inputs.
     #[inline]
     pub fn call_node(
         &self,
@@ -449,7 +450,7 @@ impl NodeRuntime {
         (status, refused)
     }
 
-    /// Withholds outputs beyond whose end the node wrote: the next buffer, of any node, may be damaged.
+    /// Withholds outputs whose end the node overran: the next buffer, of any node, may be damaged.
     fn find_overruns(&self, written: u64, refused: &mut Option<Refused>, made: &mut CallOutputs) {
         for (index, frame) in made.outputs.iter_mut().enumerate() {
             if written & output_bit(index as u32) == 0 || frame.is_empty() || memory().is_intact(frame.buffer) {
@@ -468,8 +469,8 @@ impl NodeRuntime {
         }
     }
 
-    /// Copies the packets of an isolated node to memory that its process cannot write, so that what a reader checked stays true. Pixels stay
-    /// where they are: all bytes are pixels.
+    /// Copies the packets of an isolated node to memory that its process cannot write, so that what a reader checked
+    /// stays true. Pixels stay where they are: all bytes are pixels.
     #[cold]
     fn receive(&self, status: abi::Status, refused: &mut Option<Refused>, made: &mut CallOutputs) {
         if status == STATUS_DIED {
@@ -500,7 +501,7 @@ impl NodeRuntime {
         }
     }
 
-    /// Passes to the observer what the node was answered about the time of its inputs, and to its readers the age that it declared.
+    /// Passes the input ages that the node received to the observer, and the age that it declared to its readers.
     #[cold]
     fn take_times(&self, tick: &mut Tick, call: &mut CallContext<'_>, outputs: &mut [abi::Frame]) {
         let run = call.context;
@@ -572,7 +573,7 @@ impl NodeRuntime {
         if exec.instance.retained.count() > MAX_RETAINED_FRAMES {
             made.clear();
             exec.failure.clear();
-            exec.failure.push_str("it retains more frames than a node may: a leak");
+            exec.failure.push_str("it retains too many frames: a leak");
             let leak = Box::new((Cause::Leak, String::new()));
             return self.failed(exec, context, abi::STATUS_ERROR, Some(leak), tick, end_ns);
         }

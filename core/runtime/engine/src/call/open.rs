@@ -35,7 +35,8 @@ impl NodeRuntime {
         self.open_in(context, snapshot, self.group.as_ref(), false)
     }
 
-    /// Opens an instance in the process of `group`, or in this one. The log lines of a trial are left out: the instance that opens next writes them.
+    /// Opens an instance in the process of `group`, or in this one. Log lines of a trial are dropped, because the
+    /// instance that opens next writes them.
     pub(super) fn open_in(
         &self,
         context: &RunContext,

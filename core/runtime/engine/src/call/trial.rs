@@ -1,4 +1,4 @@
-//! Opening a node in a process of its own before it opens where it runs.
+//! Opening a node in a separate process on trial, before it opens where it runs.
 
 use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -27,7 +27,7 @@ impl NodeRuntime {
             .map_err(|error| NotOpened { message: error.to_string() })
     }
 
-    /// Opens the node in a new process and closes it there.
+    /// Opens the node in a new process and closes it again.
     fn try_open(&self, context: &RunContext, snapshot: &Snapshot, limits: &TrialLimits) -> Result<(), TrialError> {
         let group = context.groups.for_trial(&self.id, limits.memory_bytes)?;
         let (finished, is_finished) = channel::<()>();

@@ -1,8 +1,8 @@
 //! Handles crashes of plugins: SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT.
 //!
-//! The handler names the node, wakes the rescue thread (see [`super::rescue`]) and waits for it, because the crashed thread cannot
-//! continue. Then it restores the previous handlers and returns: the fault happens again and ends the process with the signal's status and
-//! core dump.
+//! The handler names the node, wakes the rescue thread (see [`super::rescue`]) and waits for it, because the crashed
+//! thread cannot continue. Then it restores the previous handlers and returns: the fault happens again and ends the
+//! process with the signal's status and core dump.
 
 use std::cell::UnsafeCell;
 use std::ffi::{c_int, c_void};
@@ -108,7 +108,8 @@ fn stack_pointer(context: *mut c_void) -> Option<usize> {
     }
 }
 
-/// Distance from the stack pointer within which an invalid access is an overflow: nothing else of a thread lies so close to its stack.
+/// Distance from the stack pointer within which an invalid access is an overflow: nothing else of a thread lies so
+/// close to its stack.
 const STACK_REACH_BYTES: usize = 1 << 16;
 
 fn is_overflow(signal: c_int, address: usize, context: *mut c_void) -> bool {

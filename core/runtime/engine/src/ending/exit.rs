@@ -1,7 +1,8 @@
-//! Catches plugins that call `exit`, which would end the run without an error message, by defining the exit functions in the program.
+//! Catches plugins that call `exit`, which would end the run without an error message, by defining the exit functions
+//! in the program.
 //!
-//! [`guard_exits!`](crate::guard_exits) defines them in a program, whose build exports them (`--export-dynamic-symbol`), so that the dynamic
-//! linker binds the calls of all plugins and their libraries to them.
+//! [`guard_exits!`](crate::guard_exits) defines them in a program, whose build exports them
+//! (`--export-dynamic-symbol`), so that the dynamic linker binds the calls of all plugins and their libraries to them.
 
 use std::ffi::c_int;
 
@@ -27,8 +28,8 @@ pub fn leave(code: i32) -> ! {
     }
 }
 
-/// The guarded functions: a call from a node's code, or while a graph runs, is reported, files are finished and the exit status is 1.
-/// All other calls reach C's own function.
+/// A guarded exit function was called. A call from a node's code, or while a graph runs, is reported, files are
+/// finished and the exit status is 1. All other calls reach C's own function.
 pub fn called(code: c_int, call: ExitCall) -> ! {
     // A forked child that could not start its program also ends like this.
     if !crash::is_ours() {
@@ -78,7 +79,8 @@ fn go_on(code: c_int, call: ExitCall) -> ! {
     leave(code)
 }
 
-/// Defines C's exit functions in a program, so that plugins cannot end it unnoticed. See [`ending::called`](crate::ending::called).
+/// Defines C's exit functions in a program, so that plugins cannot end it unnoticed. See
+/// [`ending::called`](crate::ending::called).
 #[macro_export]
 macro_rules! guard_exits {
     () => {

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Whether lines are JSON objects.
 static JSON_LINES: AtomicBool = AtomicBool::new(false);
 
-/// From here on each line is a JSON object with `unix_ms`, `level`, `node` and `message`.
+/// Makes each further line a JSON object with `unix_ms`, `level`, `node` and `message`.
 pub fn write_json_lines() {
     JSON_LINES.store(true, Ordering::Relaxed);
 }
@@ -73,8 +73,8 @@ impl Line {
         self.len = 0;
     }
 
-    /// Makes the line the message of a JSON object, as `--log-format json` of the command writes them. Allocates nothing: characters that JSON
-    /// escapes are replaced.
+    /// Makes the line the message of a JSON object, as `--log-format json` of the command writes them. Allocates
+    /// nothing: characters that JSON escapes are replaced.
     fn put_into_json(&mut self) {
         let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
         // SAFETY: a plain system call that a signal handler may make; it fills a local value.

@@ -19,7 +19,7 @@ pub(super) const LIMIT: Duration = Duration::from_secs(5);
 /// Time limit for passing on log lines and faults.
 pub(super) const LINES: Duration = Duration::from_millis(500);
 
-/// Where the rescue thread waits: a pipe, because a signal handler can write to one.
+/// Pipe on which the rescue thread waits, because a signal handler can write to a pipe.
 static WAKE: AtomicI32 = AtomicI32::new(-1);
 static THREAD: AtomicI32 = AtomicI32::new(0);
 static DONE: AtomicBool = AtomicBool::new(false);
@@ -29,7 +29,7 @@ static VICTIM: AtomicPtr<NodeNames> = AtomicPtr::new(std::ptr::null_mut());
 /// Graphs that run.
 static ENGINES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// Registers a graph that runs from now on.
+/// Registers a running graph.
 pub(crate) fn register(shared: &Arc<Shared>) {
     let mut engines = lock(&ENGINES);
     engines.retain(|engine| engine.strong_count() > 0);
@@ -72,7 +72,8 @@ pub(super) fn crashed(thread: i32) {
     }
 }
 
-/// Has the rescue thread finish the files of all other nodes and waits for it. Called in the signal handler of the thread that crashed.
+/// Has the rescue thread finish the files of all other nodes and waits for it. Called in the signal handler of the
+/// thread that crashed.
 pub(super) fn after_crash(victim: Option<&NodeNames>) {
     VICTIM.store(victim.map_or(std::ptr::null_mut(), |who| std::ptr::from_ref(who).cast_mut()), Ordering::Release);
     let pipe = WAKE.load(Ordering::Acquire);
@@ -88,7 +89,7 @@ pub(super) fn after_crash(victim: Option<&NodeNames>) {
         // SAFETY: waits; allowed in a signal handler.
         unsafe { libc::poll(std::ptr::null_mut(), 0, STEP_MS as i32) };
     }
-    Line::new().text("  files: may be incomplete, finishing them took too long").print();
+    Line::new().text("  files: may be incomplete, completing them took too long").print();
 }
 
 const STEP_MS: u128 = 10;
@@ -105,7 +106,7 @@ fn finish(victim: *const NodeNames, until: Instant) -> String {
         match ENGINES.try_lock() {
             Ok(engines) => break engines.iter().filter_map(Weak::upgrade).collect(),
             Err(_) if Instant::now() < until => std::thread::sleep(Duration::from_millis(1)),
-            Err(_) => return "  files: may be incomplete, finishing them took too long".to_owned(),
+            Err(_) => return "  files: may be incomplete, completing them took too long".to_owned(),
         }
     };
     let (mut finished, mut torn) = (Vec::new(), Vec::new());

@@ -1,8 +1,10 @@
-//! SIGINT (Ctrl-C), SIGTERM, SIGHUP, and others that would end the process (SIGUSR1, SIGUSR2, SIGXCPU): the first one requests an end with
-//! all files finished. SIGXFSZ is ignored: a write beyond the limit of a file's size is an error of that file's node.
+//! SIGINT (Ctrl-C), SIGTERM, SIGHUP, and others that would end the process (SIGUSR1, SIGUSR2, SIGXCPU): the first one
+//! requests an end with all files finished. SIGXFSZ is ignored: a write beyond the limit of a file's size is an error
+//! of that file's node.
 //!
-//! `timeout` and shells send a signal twice, to a process and to its group: signals within one second count as one request. Later
-//! ones end the process at once. [`Duty`] says which code acknowledges the first one; if none does in time, the process ends anyway.
+//! `timeout` and shells send a signal twice, to a process and to its group: signals within one second count as one
+//! request. Later ones end the process at once. [`Duty`] says which code acknowledges the first one; if none does in
+//! time, the process ends anyway.
 
 use std::ffi::c_int;
 use std::fmt;
@@ -20,9 +22,9 @@ const SIGNALS: [c_int; 6] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SI
 
 /// Signals that come within this time of the first are the same request.
 const ONE_REQUEST_MS: i64 = 1000;
-/// How long nodes may continue to open after a request to end.
+/// Maximum time for nodes to open after a request to end.
 const OPENING: Duration = Duration::from_secs(1);
-/// How long the code that watches may take to notice.
+/// Time limit for the watching code to acknowledge.
 const NOTICE: Duration = Duration::from_secs(5);
 
 /// The signal that requested an end; 0 for none.
@@ -38,7 +40,8 @@ enum Duty {
     Leave,
     /// Nodes are opening and have made nothing yet. They get one second, then the process exits.
     Opening,
-    /// The code that calls [`asked`] ends the run. If it does not notice, the signal thread finishes the files and exits.
+    /// The code that calls [`asked`] ends the run. If it does not notice, the signal thread finishes the files and
+    /// exits.
     Watched,
     /// The same, notified by a call instead of polling.
     Told(Box<dyn Fn() + Send>),
@@ -172,7 +175,7 @@ pub fn install() -> std::io::Result<()> {
     Ok(())
 }
 
-/// The signal that requested an end, if any. The caller has to end the run then.
+/// The signal that requested an end, if any. The caller must then end the run.
 pub fn asked() -> Option<Signal> {
     let signal = ASKED.load(Ordering::Acquire);
     if signal == 0 {

@@ -62,15 +62,15 @@ impl Current {
     }
 }
 
-/// Longest wait: more is treated as no limit.
+/// Maximum wait; a longer one means no limit.
 const MAX_PATIENCE: Duration = Duration::from_secs(100 * 24 * 3600);
-/// Shortest wait when closing, whatever the caller asks for: threads have to end and nodes to finish their files.
+/// Minimum wait when closing, whatever the caller passes: threads have to end and nodes to finish their files.
 const MIN_PATIENCE: Duration = Duration::from_secs(1);
 /// A running graph.
 pub struct Engine {
     pub(crate) shared: Arc<Shared>,
     pub(crate) current: ArcSwap<Current>,
-    /// Held during a change of the graph.
+    /// Held while the graph changes.
     pub(crate) change: ChangeLock,
     watch: Mutex<Option<JoinHandle<()>>>,
     watch_stop: Arc<AtomicBool>,
@@ -184,7 +184,8 @@ impl Engine {
         self.current.load().graph.clone()
     }
 
-    /// Asks the sources to end. Ticks in flight finish; a call that does not return within [`Options::hang`] is abandoned, whatever its budget.
+    /// Ends the sources. Ticks in flight finish; a call that does not return within [`Options::hang`] is abandoned,
+    /// whatever its budget.
     pub fn stop(&self) {
         self.shared.stop();
     }
@@ -198,7 +199,7 @@ impl Engine {
         self.shared.unfinished.load(Ordering::Acquire) == 0
     }
 
-    /// Waits at most `most` until all nodes are finished; `false` if they are not.
+    /// Waits up to `most` until all nodes are finished; `false` if they are not.
     pub fn wait(&self, most: Option<Duration>) -> bool {
         let until = most.map(|m| Instant::now() + m);
         let mut guard = lock(&self.shared.finished_lock);
@@ -215,8 +216,8 @@ impl Engine {
         true
     }
 
-    /// Waits until the run ends, calling `each_step` every `step`. Returns the error with which it broke off, if it did; the caller closes the
-    /// engine in either case.
+    /// Waits until the run ends, calling `each_step` every `step`. Returns the error that stopped it early, if there
+    /// was one; the caller closes the engine in either case.
     pub fn watch<E>(&self, step: Duration, mut each_step: impl FnMut(&Self) -> Result<(), E>) -> Result<(), E> {
         while !self.wait(Some(step)) {
             each_step(self)?;
@@ -224,9 +225,9 @@ impl Engine {
         Ok(())
     }
 
-    /// Stops the sources, waits, and closes all nodes, so that files are finished. `patience` limits the wait for nodes that do not return,
-    /// and then for nodes that do not close (at least one second each); the log names those that it leaves behind. A change of the graph in
-    /// progress fails.
+    /// Stops the sources, waits, and closes all nodes, so that files are finished. `patience` limits the wait for nodes
+    /// that do not return, and then for nodes that do not close (at least one second each); the log names those that it
+    /// leaves behind. A change of the graph in progress fails.
     pub fn close(&self, patience: Duration) -> Outcome {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.stop();
@@ -279,8 +280,8 @@ impl Engine {
         Some(preview)
     }
 
-    /// Call after previews of a node were dropped: outputs without a reader are no longer made. Does nothing while the graph is being changed,
-    /// so that it never waits. Do not call it while another thread calls [`Self::preview`].
+    /// Call after previews of a node were dropped: stops making outputs without a reader. Does nothing while the graph
+    /// is being changed, so that it never waits. Do not call it while another thread calls [`Self::preview`].
     pub fn end_previews(&self, node: &str) {
         let Some(_change) = self.change.lock_until(Instant::now()) else { return };
         let current = self.current.load();
@@ -290,8 +291,8 @@ impl Engine {
         }
     }
 
-    /// When the light of a packet arrived, in ns of [`clock::now_ns`]; negative for light from before the clock began. Of a tick older than the
-    /// newest few thousand a later time. `None` where it is unknown.
+    /// When the light of a packet arrived, in ns of [`clock::now_ns`]; negative for light from before the clock began.
+    /// For a tick older than the newest few thousand the result is too late. `None` where it is unknown.
     pub fn arrived_ns(&self, tick: &abi::Tick) -> Option<i64> {
         self.shared.light_ns(tick)
     }
@@ -306,8 +307,8 @@ impl Engine {
         self.shared.context.faults.recent()
     }
 
-    /// Moves `cursor` past the newest fault; a cursor of another run starts at the first fault. Returns whether its faults changed. Cheap where
-    /// there are no new ones, for displays.
+    /// Moves `cursor` past the newest fault; a cursor of another run starts at the first fault. Returns whether its
+    /// faults changed. Cheap where there are no new ones, for displays.
     pub fn faults_since(&self, cursor: &mut FaultCursor) -> bool {
         self.shared.context.faults.advance(cursor)
     }
@@ -323,7 +324,7 @@ impl Engine {
         Report::of(&self.current.load().graph, &self.shared)
     }
 
-    /// What each node did since the last call with this `window`. Cheaper than a report, for displays.
+    /// Activity of each node since the last call with this `window`. Cheaper than a report, for displays.
     pub fn window(&self, window: &mut Window) -> BTreeMap<String, NodeWindow> {
         window.step(&self.shared)
     }

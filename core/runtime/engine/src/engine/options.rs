@@ -10,8 +10,8 @@ use crate::observe::Observer;
 use crate::preview::{Listener, NumberListener};
 use crate::trace::Tracer;
 
-/// Environment variable with the default of [`Options::hang`], a whole number of ms above 0: for machines so busy that a sound call takes longer than
-/// [`HANG_MS`]. Anything else counts as not set.
+/// Environment variable with the default of [`Options::hang`], a whole number of ms above 0: for machines so busy that
+/// a healthy call takes longer than [`HANG_MS`]. Anything else counts as not set.
 const HANG_VARIABLE: &str = "PANOSCOPE_HANG_MS";
 const HANG_MS: u64 = 2000;
 
@@ -30,14 +30,16 @@ pub struct Options {
     pub threads: usize,
     /// Ticks each source makes; `None` until the sources end or the engine is stopped.
     pub frames: Option<u64>,
-    /// In live mode, sources wait until the capture time of a tick. Otherwise they run as fast as the graph takes ticks.
+    /// In live mode, sources wait until the capture time of a tick. Otherwise they run as fast as the graph takes
+    /// ticks.
     pub paced: bool,
     /// Ticks of a source that may be in flight at once; `None` leaves it to the mode and queues of the graph. 1 runs
     /// one tick at a time, so that node timings do not overlap.
     pub ticks_at_once: Option<u32>,
     /// Folder that nodes resolve relative paths against.
     pub graph_dir: std::path::PathBuf,
-    /// Whether files of earlier runs stay: nodes that would replace one write to the next `NAME.partN` that does not exist.
+    /// Whether files of earlier runs stay: nodes that would replace one write to the next `NAME.partN` that does not
+    /// exist.
     pub keep_outputs: bool,
     /// Receives log lines.
     pub log: Option<Box<LogFn>>,
@@ -49,12 +51,13 @@ pub struct Options {
     pub tracer: Option<Arc<dyn Tracer>>,
     /// Makes the decisions that otherwise depend on time, for example to replay a run.
     pub decider: Option<Arc<dyn Decider>>,
-    /// Ports whose packets a listener receives, all of them.
+    /// Listeners that receive all packets of a port.
     pub listen: Vec<Listener>,
     /// Nodes whose metrics a listener receives, each when the node reports it; one listener for a node.
     pub numbers: Vec<NumberListener>,
-    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long. From [`Engine::stop`](crate::Engine::stop)
-    /// on, any call that takes longer counts as hung in both. The default is 2 s, or what the environment variable `PANOSCOPE_HANG_MS` says.
+    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long. From
+    /// [`Engine::stop`](crate::Engine::stop) on, any call that takes longer counts as hung in both. The default is 2 s,
+    /// or what the environment variable `PANOSCOPE_HANG_MS` says.
     pub hang: Duration,
     /// Time limit for opening a node: at the start, in a change and after a fault.
     pub open_limit: Duration,
@@ -62,7 +65,8 @@ pub struct Options {
     pub close_limit: Duration,
     /// Maximum number of bytes of private memory that the process of a group of isolated nodes may have.
     pub group_memory_bytes: u64,
-    /// Whether what the process of a group writes to its standard error goes into the words about its end, and not to that of this process.
+    /// Whether the standard error of a group's process goes into the message about its end instead of to this process's
+    /// standard error.
     pub keep_group_stderr: bool,
     /// Heap allocations of the process so far, where the program counts them.
     pub process_allocations: Option<fn() -> u64>,
@@ -97,7 +101,7 @@ impl Default for Options {
     }
 }
 
-/// Why a graph did not start.
+/// A graph that did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// A node did not open.
@@ -113,7 +117,7 @@ pub enum StartError {
     /// The graph no longer fits the loaded plugins.
     #[error("{reason}; check the graph again")]
     Stale {
-        /// What changed.
+        /// The changed parts.
         reason: String,
     },
     /// The system gave no thread.
@@ -124,7 +128,7 @@ pub enum StartError {
     },
 }
 
-/// Why a parameter was not changed.
+/// A parameter that was not changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SetError {
     /// No such node.
@@ -148,7 +152,7 @@ pub enum SetError {
         node: String,
         /// The parameter.
         param: String,
-        /// What is wrong with the value.
+        /// Description of the problem.
         reason: String,
     },
     /// The node did not open with the new value; the old one stays in force.
@@ -161,7 +165,7 @@ pub enum SetError {
     },
 }
 
-/// How a run ended.
+/// Result of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// All sources ended, or the engine was asked to stop.

@@ -10,7 +10,8 @@ use crate::observe::Event;
 use crate::params::Snapshot;
 
 impl Engine {
-    /// Changes one parameter between two ticks. A `reopen` parameter opens a new instance beside the running one first.
+    /// Changes one parameter between two ticks. A `reopen` parameter first opens a new instance next to the running
+    /// one.
     pub fn set_param(&self, node: &str, param: &str, value: ParamValue) -> Result<(), SetError> {
         let _change = self.change.lock();
         let current = self.current.load_full();
@@ -61,11 +62,12 @@ impl Engine {
         Ok(())
     }
 
-    /// Sets a bool parameter from the next tick on without waiting for a change of the graph in progress: for an emergency stop. Such a
-    /// change may restore the old value when it replaces the node, so call [`Self::set_param`] as well.
+    /// Sets a bool parameter from the next tick on without waiting for a change of the graph in progress: for an
+    /// emergency stop. Such a change may restore the old value when it replaces the node, so call [`Self::set_param`]
+    /// as well.
     ///
     /// # Errors
-    /// The node or parameter does not exist, is no bool, or reopens its node.
+    /// The node or parameter does not exist, is not a bool, or reopens its node.
     pub fn set_bool_at_once(&self, node: &str, param: &str, on: bool) -> Result<(), SetError> {
         let current = self.current.load_full();
         let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;

@@ -1,4 +1,4 @@
-//! What a call may ask about the time of its inputs, and what it may say about that of its outputs.
+//! Host functions for the times of inputs and outputs of a call.
 
 use std::ffi::c_void;
 
@@ -84,7 +84,7 @@ impl CallContext<'_> {
         lights.lag(&self.tick, tick).map_or(0, Lag::flags)
     }
 
-    /// What the node was answered in this call; `None` when it asked nothing.
+    /// Input ages that the node received in this call; `None` when it asked for none.
     pub fn answered(&mut self) -> Option<Ages> {
         let asked = self.times()?.asked;
         if asked == 0 {
@@ -95,7 +95,7 @@ impl CallContext<'_> {
         Some(Ages { now_ns, arrived: inputs.map(|input| (input, self.input_light_ns(input))).collect() })
     }
 
-    /// Ends the use of the times in this call. Returns the lag that the node declared for its outputs.
+    /// Ends the use of times in this call. Returns the lag that the node declared for its outputs.
     pub fn end_times(&mut self) -> u32 {
         let Some(times) = self.times() else { return 0 };
         let (lag, arrived_ns) = (times.lag, times.arrived_ns);

@@ -15,7 +15,7 @@ const MAX_DELAYED: usize = 8;
 /// Largest queue capacity that is allocated at the start.
 const MAX_RESERVED: usize = 256;
 
-/// How a slot is matched with the node's other slots.
+/// Matching of a slot with the node's other slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Rule {
     /// The same tick on all exact slots.
@@ -33,14 +33,14 @@ pub(crate) struct Slot {
     pub rule: Rule,
     /// The input may be empty or unconnected.
     pub optional: bool,
-    /// Queue length in live mode; older packets are dropped. Not used for `exact` slots, whose queues are limited by the ticks in
-    /// the region.
+    /// Queue length in live mode; older packets are dropped. Not used for `exact` slots, whose queues are limited by
+    /// the ticks in the region.
     pub capacity: usize,
     pub(super) queue: VecDeque<FrameRef>,
     /// Newest non-empty value that was used (`latest`, `delay`).
     pub(super) held: Option<FrameRef>,
     pub(super) ended: bool,
-    /// Longest queue since [`Slot::fill`] was called last.
+    /// Maximum queue length since [`Slot::fill`] was called last.
     pub(super) most: usize,
     /// Packets dropped because the queue was full.
     pub(super) dropped: u64,
@@ -48,9 +48,9 @@ pub(crate) struct Slot {
     pub(super) expects: bool,
     /// Packets beyond the capacity that may wait, because they came during a pause.
     pub(super) spare: usize,
-    /// Whether its packets count for the age of what is made, see [`crate::light`].
+    /// Whether its packets count for the age of the outputs, see [`crate::light`].
     pub shows_light: bool,
-    /// It is a `delay` slot on a loop.
+    /// Whether it is a `delay` slot on a loop.
     pub is_state: bool,
     /// Age beyond which a packet counts as absent.
     pub max_age_ns: Option<i64>,
@@ -108,7 +108,7 @@ impl Slot {
         self.most = self.most.max(self.queue.len());
     }
 
-    /// Queue length now, and the longest since the last call.
+    /// Queue length now, and the maximum since the last call.
     pub fn fill(&mut self) -> (usize, usize) {
         let waiting = self.queue.len();
         (waiting, std::mem::replace(&mut self.most, waiting))
@@ -125,8 +125,8 @@ impl Slot {
         self.too_old = old.too_old;
     }
 
-    /// Retains during a pause what would otherwise be dropped, except values that fire nothing, of which only the newest counts. `fires` says
-    /// whether arrivals fire the node.
+    /// Retains packets during a pause that would otherwise be dropped, except values that fire nothing, of which only
+    /// the newest matters. `fires` says whether arrivals fire the node.
     pub(super) fn pause(&mut self, fires: bool) {
         let retains = match self.rule {
             Rule::Exact => false,

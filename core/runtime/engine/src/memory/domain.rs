@@ -8,9 +8,9 @@ use panoscope_abi::BufferId;
 use super::{Backing, DOMAINS, Memory, MemoryError, PRIVATE, Pool, PoolFile, memory};
 use crate::sync::lock;
 
-/// Why there is no further domain.
+/// No domain is free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{most} groups of isolated nodes have frames in use; a process has memory for no more")]
+#[error("{most} groups of isolated nodes have frames in use, which is the limit")]
 pub struct DomainError {
     /// Maximum number of groups that may exist at a time.
     pub most: usize,
@@ -22,7 +22,7 @@ pub(super) struct Shared {
 }
 
 struct State {
-    /// What other processes may do with the pools of each domain in use.
+    /// Rights of other processes on the pools of each domain in use.
     backing: [Option<Backing>; DOMAINS],
     /// The domain that holds this process's own frames, and the number of users of [`SharedFrames`].
     own: Option<(Domain, usize)>,
@@ -33,7 +33,8 @@ impl Shared {
         Self { state: Mutex::new(State { backing: [const { None }; DOMAINS], own: None }) }
     }
 
-    /// Calls `work` with what other processes may do with the pools of a domain, which stays open meanwhile; `None` if it is closed.
+    /// Calls `work` with what other processes may do with the pools of a domain, which stays open meanwhile; `None` if
+    /// it is closed.
     pub fn with_backing<R>(&self, domain: u32, work: impl FnOnce(Backing) -> R) -> Option<R> {
         let state = lock(&self.state);
         let backing = if domain == PRIVATE { Some(Backing::Private) } else { state.backing[domain as usize] };
@@ -41,7 +42,7 @@ impl Shared {
     }
 }
 
-/// Pools whose frames another process can map. Dropping it gives the memory back, each pool as soon as nobody holds a frame of it.
+/// Pools whose frames another process can map. Dropping it releases the memory, each pool once no frame of it is held.
 #[derive(Debug)]
 pub struct Domain(u32);
 
@@ -66,7 +67,7 @@ impl Domain {
         Ok(Self(number))
     }
 
-    /// Its number, for [`Memory::allocate_in`].
+    /// Number of the domain, for [`Memory::allocate_in`].
     pub fn number(&self) -> u32 {
         self.0
     }

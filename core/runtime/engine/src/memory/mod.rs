@@ -1,10 +1,12 @@
 //! Frame memory: reference-counted buffers named by (pool, offset).
 //!
-//! One pool per power of two. A pool reserves address space once and touches it slot by slot, so a buffer's address is its pool's base
-//! plus its offset, and never changes. A buffer returns to its pool's free list with its last reference.
+//! One pool per power of two. A pool reserves address space once and touches it slot by slot, so a buffer's address is
+//! its pool's base plus its offset, and never changes. A buffer returns to its pool's free list with its last
+//! reference.
 //!
-//! Pools belong to a *domain*. Domain 0 is private memory of this process. While a graph has isolated nodes, frames come from a domain
-//! that their processes map read-only, and each group of isolated nodes makes its outputs in a domain of its own, see [`Domain`].
+//! Pools belong to a *domain*. Domain 0 is private memory of this process. While a graph has isolated nodes, frames
+//! come from a domain that their processes map read-only, and each group of isolated nodes makes its outputs in a
+//! separate domain, see [`Domain`].
 
 mod domain;
 mod pool;
@@ -41,11 +43,11 @@ pub struct Memory {
     allocations: AtomicU64,
 }
 
-/// Why no buffer could be allocated.
+/// A buffer could not be allocated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MemoryError {
     /// The limit is reached or the pool has no slot left.
-    #[error("frame memory is used up: {wanted_bytes} bytes wanted, {in_use_bytes} in use of {limit_bytes}")]
+    #[error("frame memory is exhausted: {wanted_bytes} bytes requested, {in_use_bytes} in use of {limit_bytes}")]
     Exhausted {
         /// Bytes asked for.
         wanted_bytes: usize,
@@ -62,13 +64,13 @@ pub enum MemoryError {
     },
 }
 
-/// Size of the buffers for frames of so many bytes, as a power of two. A buffer that is too large has none.
+/// Size of the buffers for frames of this many bytes, as a power of two. A buffer that is too large has none.
 fn bits_for(len: usize) -> u32 {
     let bytes = len.max(1).saturating_add(CANARY_BYTES);
     (usize::BITS - (bytes - 1).leading_zeros()).max(MIN_BITS)
 }
 
-/// Maximum number of bytes of a frame in the buffer that is handed out for a frame of `len` bytes.
+/// Maximum number of bytes of a frame that fits into the buffer for a frame of `len` bytes.
 pub fn room_for(len: usize) -> usize {
     1usize.checked_shl(bits_for(len)).map_or(len, |bytes| bytes - CANARY_BYTES)
 }
@@ -92,7 +94,7 @@ impl Memory {
         self.limit_bytes.store(limit, Ordering::Relaxed);
     }
 
-    /// See [`Self::set_limit_bytes`].
+    /// Limit of [`Self::set_limit_bytes`].
     pub fn limit_bytes(&self) -> i64 {
         self.limit_bytes.load(Ordering::Relaxed)
     }
@@ -191,7 +193,7 @@ impl Memory {
         self.slot(id).map_or(0, |(pool, slot)| pool.references[slot].load(Ordering::Acquire))
     }
 
-    /// How often a buffer was handed out, wrapping: while the number stays, so do the bytes of a frame in it. 0 for no buffer.
+    /// Number of uses of a buffer, wrapping: while the number stays, so do the bytes of a frame in it. 0 for no buffer.
     pub fn uses(&self, id: BufferId) -> u32 {
         self.slot(id).map_or(0, |(pool, slot)| pool.uses[slot].load(Ordering::Relaxed))
     }
@@ -217,8 +219,8 @@ impl Memory {
         false
     }
 
-    /// Adds a reference to the buffer of a frame that came from a plugin; `false` if no such buffer is in use, or its address or
-    /// length do not match.
+    /// Adds a reference to the buffer of a frame that came from a plugin; `false` if no such buffer is in use, or its
+    /// address or length do not match.
     pub(crate) fn retain_checked(&self, frame: &Frame) -> bool {
         let Some((pool, _)) = self.slot(frame.buffer) else { return false };
         // SAFETY: the slot lies inside the reserved mapping.
@@ -256,13 +258,13 @@ impl FrameRef {
     /// Takes over one reference that the caller holds.
     ///
     /// # Safety
-    /// The frame is empty, or `frame.buffer` is a buffer of [`memory`] of which the caller gives up one reference, `frame.data` is its
-    /// address and `frame.len` lies within it.
+    /// The frame is empty, or `frame.buffer` is a buffer of [`memory`] of which the caller gives up one reference,
+    /// `frame.data` is its address and `frame.len` lies within it.
     pub unsafe fn adopt(frame: Frame) -> Self {
         Self(frame)
     }
 
-    /// Becomes empty without releasing its reference, which somebody else took over.
+    /// Becomes empty without releasing its reference, which another owner took over.
     #[inline]
     pub(crate) fn forget(&mut self) {
         self.0 = Frame::EMPTY;

@@ -9,14 +9,15 @@ use std::sync::{Arc, Mutex, Weak};
 
 use crate::sync::lock;
 
-/// Bytes at the end of each slot that belong to no frame: a node that writes beyond its output into the next slot changes them.
+/// Bytes at the end of each slot that belong to no frame: a node that writes beyond its output into the next slot
+/// changes them.
 pub(super) const CANARY_BYTES: usize = 16;
 const CANARY: [u64; CANARY_BYTES / 8] = [0x5bd1_e995_c6a4_a793, 0x9e37_79b9_7f4a_7c15];
 
 const MAX_SLOTS: usize = 1 << 16;
 const RESERVE_BYTES: usize = 4 << 30;
 
-/// What the bytes of a pool are.
+/// Kind of memory behind a pool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Backing {
     /// Anonymous memory of this process.
@@ -40,7 +41,7 @@ pub(super) struct Pool {
     pub base: *mut u8,
     pub bits: u32,
     pub references: Box<[AtomicU32]>,
-    /// How often each slot was handed out, wrapping.
+    /// Number of uses of each slot, wrapping.
     pub uses: Box<[AtomicU32]>,
     free: Mutex<Free>,
 }
@@ -50,9 +51,9 @@ struct Free {
     untouched: u32,
     /// Whether slots are handed out.
     open: bool,
-    /// The file that is mapped; `None` for private memory, and for a closed pool whose slots have all come back.
+    /// The file that is mapped; `None` for private memory, and for a closed pool whose slots were all returned.
     file: Option<Arc<File>>,
-    /// The newest file, which other processes may still map after this one has given it back.
+    /// The newest file, which other processes may still map after this one unmapped it.
     last: Weak<File>,
 }
 
@@ -116,7 +117,7 @@ impl Pool {
         self.references.len() << self.bits
     }
 
-    /// Takes a free slot; `None` if the pool is used up or closed.
+    /// Takes a free slot; `None` if the pool is exhausted or closed.
     pub fn take(&self) -> Option<u32> {
         let mut free = lock(&self.free);
         if !free.open {
@@ -167,14 +168,14 @@ impl Pool {
         true
     }
 
-    /// Hands out no slot any more. The memory is given back as soon as all slots have come back.
+    /// Stops handing out slots. The memory is released once all slots are returned.
     pub fn close(&self) {
         let mut free = lock(&self.free);
         free.open = false;
         self.unmap_if_unused(&mut free);
     }
 
-    /// Whether the pool is closed, its memory was given back, and nobody keeps its file for another process.
+    /// Whether the pool is closed, its memory was released, and no one holds its file for another process.
     pub fn is_unmapped(&self) -> bool {
         let free = lock(&self.free);
         !free.open && free.file.is_none() && free.last.strong_count() == 0

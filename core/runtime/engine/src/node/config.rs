@@ -1,6 +1,7 @@
-//! What a change of the graph sets and the running call reads: policy, parameter values, a new instance.
+//! Data set by a change of the graph and read by the running call: policy, parameter values, a new instance.
 //!
-//! The fields are private: every writer advances the [`ConfigEpoch`] of the node, so that a running call cannot miss a change.
+//! The fields are private: every writer advances the [`ConfigEpoch`] of the node, so that a running call cannot miss a
+//! change.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -11,7 +12,7 @@ use crate::instance::Instance;
 use crate::params::{InForce, Snapshot};
 use crate::sync::lock;
 
-/// Longest budget: 100 days, which a clock in ns can add up.
+/// Maximum budget: 100 days, which does not overflow a clock in ns.
 pub(crate) const MAX_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
 
 /// Incremented when parameters, instance or policy change. A call that sees the same epoch skips all three checks.
@@ -33,15 +34,15 @@ impl ConfigEpoch {
     }
 }
 
-/// An instance that waits for the next call, with the values it was opened with where they are new.
+/// An instance that waits for the next call, and the values it was opened with if they are new.
 type Replacement = (Instance, Option<Arc<Snapshot>>);
 
-/// See the module.
+/// Policy, values and new instance of a node; see the module.
 pub(crate) struct Config {
     on_fault: AtomicU8,
-    /// 0 for none.
+    /// Time budget of a call, ns; 0 for none.
     budget_ns: AtomicU64,
-    /// 0 for none.
+    /// Minimum capture time between two calls, ns; 0 for none.
     period_ns: AtomicI64,
     values: InForce,
     replacement: Mutex<Option<Replacement>>,
@@ -74,12 +75,12 @@ impl Config {
         [OnFault::Restart, OnFault::Bypass, OnFault::Stop].into_iter().find(|o| *o as u8 == number).unwrap_or_default()
     }
 
-    /// Longest time of a call in ns, 0 for none.
+    /// Time budget of a call in ns, 0 for none.
     pub fn budget_ns(&self) -> u64 {
         self.budget_ns.load(Ordering::Relaxed)
     }
 
-    /// Shortest capture time between two calls in ns, 0 for none.
+    /// Minimum capture time between two calls in ns, 0 for none.
     pub fn period_ns(&self) -> i64 {
         self.period_ns.load(Ordering::Relaxed)
     }
@@ -113,15 +114,16 @@ impl Config {
         epoch.advance();
     }
 
-    /// Hands over an instance that was opened beside the running one. Returns one that still waited; the caller closes it.
+    /// Hands over an instance that was opened next to the running one. Returns one that still waited; the caller closes
+    /// it.
     pub fn put_replacement(&self, epoch: &ConfigEpoch, replacement: Replacement) -> Option<Instance> {
         let old = self.put(lock(&self.replacement), replacement);
         epoch.advance();
         old
     }
 
-    /// As [`Self::put_replacement`] for an instance that was opened again with the values in force. Returns that instance if it is
-    /// outdated, or if one with newer values waits.
+    /// As [`Self::put_replacement`] for an instance that was reopened with the values in force. Returns that instance
+    /// if it is outdated, or if one with newer values waits.
     pub fn put_restarted(
         &self,
         epoch: &ConfigEpoch,

@@ -41,7 +41,7 @@ pub(crate) struct NodeRuntime {
     outputs_read: AtomicU64,
     pub subscribers: Subscribers,
     pub id: String,
-    /// Its functions: those of `declared`, or of its group.
+    /// Functions of the node type: those of `declared`, or of its group.
     pub node_type: &'static abi::NodeType,
     /// As its plugin describes it.
     pub declared: &'static abi::NodeType,
@@ -145,7 +145,7 @@ impl NodeRuntime {
         self.config.set_policy(&self.config_epoch, on_fault, budget_ms, max_rate_hz);
     }
 
-    /// Longest time of a call in ns, 0 for none.
+    /// Time budget of a call in ns, 0 for none.
     pub fn budget_ns(&self) -> u64 {
         self.config.budget_ns()
     }
@@ -201,12 +201,12 @@ impl NodeRuntime {
         Exec::new(self.node_type, &self.rules, ranges, self.snapshot(), Arc::clone(&self.stats.time))
     }
 
-    /// What to do after a fault.
+    /// Next step after a fault.
     pub fn on_fault(&self) -> OnFault {
         self.config.on_fault()
     }
 
-    /// Whether the node runs on a thread of its own.
+    /// Whether the node runs on its own thread.
     pub fn owns_thread(&self) -> bool {
         self.source || self.kind != NodeKind::Compute
     }
@@ -226,15 +226,15 @@ impl NodeRuntime {
         self.config.set_values(&self.config_epoch, snapshot);
     }
 
-    /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new. Returns one
-    /// that was handed over before and still waited; the caller closes it.
+    /// Hands over an instance that was opened next to the running one, with the values it was opened with where they
+    /// are new. Returns one that was handed over before and still waited; the caller closes it.
     #[must_use]
     pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) -> Option<Instance> {
         self.config.put_replacement(&self.config_epoch, (instance, snapshot))
     }
 
-    /// Hands over an instance that a restart opened, unless the restart is outdated or an instance with newer values waits. Returns the
-    /// instance that the caller closes: the one given or one that waited.
+    /// Hands over an instance that a restart opened, unless the restart is outdated or an instance with newer values
+    /// waits. Returns the instance that the caller closes: the one given or one that waited.
     #[must_use]
     pub fn install_restarted(&self, instance: Instance, restart: u64) -> Option<Instance> {
         self.config.put_restarted(&self.config_epoch, instance, || self.recovery.is_outdated(restart))

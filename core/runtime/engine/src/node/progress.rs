@@ -1,4 +1,4 @@
-//! What the calls of a node leave behind for others to read: sizes, metrics, counts of faults.
+//! Published data of a node's calls: sizes, metrics, counts of faults.
 //!
 //! The running call writes; reports, previews and the scheduler read.
 
@@ -15,7 +15,7 @@ use crate::sync::lock;
 /// Size changes that are kept: a reader may lag a few ticks behind.
 const SIZE_CHANGES: usize = 8;
 
-/// Names of metrics of one node. A report with more is no use to anybody, and each costs memory until the end of the run.
+/// Names of metrics of one node. A longer report helps no one, and each name costs memory until the end of the run.
 const MAX_METRICS: usize = 1024;
 
 /// An output changed its size.
@@ -27,7 +27,7 @@ pub(crate) struct SizeChange {
     pub to: (u32, u32),
 }
 
-/// See the module.
+/// Published state of a node's calls; see the module.
 #[derive(Default)]
 pub(crate) struct Progress {
     metrics: Mutex<Vec<(String, f64)>>,

@@ -1,7 +1,7 @@
 //! The failures of a node and its restarts.
 //!
-//! The running call reports a failure; the restart thread takes the failed instances and opens a new one; the watchdog counts calls that it
-//! abandoned. The fields are private, so that each writer goes through an operation with a name.
+//! The running call reports a failure; the restart thread takes the failed instances and opens a new one; the watchdog
+//! counts calls that it abandoned. The fields are private, so that each writer goes through an operation with a name.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
@@ -10,14 +10,14 @@ use crate::exec::Exec;
 use crate::instance::Instance;
 use crate::sync::lock;
 
-/// See the module.
+/// Failures and restarts of a node; see the module.
 #[derive(Default)]
 pub(crate) struct Recovery {
     /// Failed instances, closed off the hot path.
     broken: Mutex<Vec<Instance>>,
     /// Saved state of a failed source: its next instance continues there.
     position: Mutex<Option<Vec<u8>>>,
-    /// Where an isolated source was after its last tick: a process that died cannot be asked.
+    /// Position of an isolated source after its last tick: a process that died cannot be asked.
     kept_position: Mutex<Option<Vec<u8>>>,
     restart_requested: AtomicBool,
     /// A restart would not cure the last error.
@@ -94,7 +94,7 @@ impl Recovery {
         self.stuck.fetch_add(1, Ordering::Relaxed) + 1
     }
 
-    /// An abandoned call returned after all.
+    /// Counts an abandoned call that returned.
     pub fn remove_stuck(&self) {
         self.stuck.fetch_sub(1, Ordering::Relaxed);
     }
@@ -104,12 +104,12 @@ impl Recovery {
         self.stuck.load(Ordering::Relaxed)
     }
 
-    /// Saves where a failed source was.
+    /// Saves the position of a failed source.
     pub fn save_position(&self, _exec: &mut Exec, state: Vec<u8>) {
         *lock(&self.position) = Some(state);
     }
 
-    /// Keeps where an isolated source is now.
+    /// Keeps the position of an isolated source.
     pub fn keep_position(&self, state: &[u8]) {
         let mut kept = lock(&self.kept_position);
         let kept = kept.get_or_insert_default();
@@ -124,13 +124,13 @@ impl Recovery {
         }
     }
 
-    /// The node has another instance, which has positions of its own.
+    /// Drops the kept position, because the node has another instance with other positions.
     pub fn forget_kept_position(&self) {
         *lock(&self.kept_position) = None;
     }
 
-    /// Where a failed source was. The caller puts back only what an instance understood, so that an instance that hangs on it is not
-    /// given it twice.
+    /// Position of a failed source. The caller puts back only what an instance understood, so that an instance that
+    /// hangs on it does not get it twice.
     pub fn take_position(&self) -> Option<Vec<u8>> {
         lock(&self.position).take()
     }

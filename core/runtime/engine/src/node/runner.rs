@@ -8,15 +8,15 @@ use crate::clock;
 use crate::leave::Leave;
 use crate::sync::lock;
 
-/// A thread that gives way to the one that woke it expects to run again within this time.
+/// Expected maximum time of giving way to the waking thread.
 const SHORT_WAY_NS: u64 = 100_000;
-/// Time without giving way after one that took longer; twice as long after the next one, up to the second value.
+/// Time without giving way after it took longer than expected; doubled each time, up to the second value.
 const PAUSE_NS: [u64; 2] = [250_000_000, 32_000_000_000];
 
 /// The pause of all threads of the process: they share the processors.
 static PAUSE: Pause = Pause::new();
 
-/// When threads do not give way, because it has taken long.
+/// When threads do not give way, because it took too long.
 struct Pause {
     until_ns: AtomicU64,
     next_ns: AtomicU64,
@@ -31,7 +31,7 @@ impl Pause {
         now_ns >= self.until_ns.load(Ordering::Relaxed)
     }
 
-    /// A thread has given way for so long.
+    /// Records how long a thread gave way.
     fn gave_way(&self, start_ns: u64, end_ns: u64) {
         if end_ns.saturating_sub(start_ns) < SHORT_WAY_NS {
             self.next_ns.store(PAUSE_NS[0], Ordering::Relaxed);
@@ -45,12 +45,13 @@ impl Pause {
 
 /// Lets the thread that wakes another one return to its wait first.
 ///
-/// A kernel may run the woken thread at once on the processor of its waker, which then has yet to finish its own tick. A third thread that is woken
-/// meanwhile is moved to another processor, and waking a thread on a sleeping processor takes several times as long. Where other programs want the
-/// processor, giving way lasts a time slice, so it is tried seldom there.
+/// A kernel may run the woken thread at once on the processor of its waker, which then has yet to finish its own tick.
+/// A third thread that is woken meanwhile is moved to another processor, and waking a thread on a sleeping processor
+/// takes several times as long. Where other programs want the processor, giving way lasts a time slice, so it is rarely
+/// tried there.
 #[derive(Default)]
 struct Courtesy {
-    /// A thread is inside the call that wakes this one.
+    /// Set while a thread is inside the call that wakes this one.
     is_waking: AtomicBool,
 }
 
@@ -75,21 +76,22 @@ impl Courtesy {
     }
 }
 
-/// The node's own thread. The thread registers itself and parks here; any thread may wake it; a change of the graph retires it.
+/// The node's own thread. The thread registers itself and parks here; any thread may wake it; a change of the graph
+/// retires it.
 pub(crate) struct Runner {
     thread: Mutex<Option<std::thread::Thread>>,
     courtesy: Courtesy,
     wake: AtomicBool,
     retired: AtomicBool,
     has_thread: AtomicBool,
-    /// Recent longest time of the inline chain that starts here; `u64::MAX` before the first.
+    /// Recent maximum time of the inline chain that starts here; `u64::MAX` before the first.
     chain_ns: AtomicU64,
     /// The request to leave and its acknowledgement, see [`Leave`].
     pub leave: Leave,
 }
 
 impl Runner {
-    /// Without a thread.
+    /// A runner without a thread.
     pub fn new() -> Self {
         Self {
             thread: Mutex::new(None),
@@ -102,7 +104,7 @@ impl Runner {
         }
     }
 
-    /// A thread for the node is about to start.
+    /// Records that a thread for the node is about to start.
     pub fn thread_starts(&self) {
         self.has_thread.store(true, Ordering::Release);
     }
@@ -130,7 +132,7 @@ impl Runner {
         }
     }
 
-    /// Parks the calling thread, the node's own, until somebody wakes it.
+    /// Parks the calling thread, the node's own, until it is woken.
     pub fn park(&self) {
         while !self.wake.swap(false, Ordering::Acquire) {
             std::thread::park();
@@ -138,7 +140,7 @@ impl Runner {
         self.courtesy.give_way();
     }
 
-    /// Parks the calling thread until somebody wakes it or, where there is a limit, this time is over. May return early.
+    /// Parks the calling thread until it is woken or the limit, if there is one, is over. May return early.
     pub fn park_at_most(&self, limit: Option<Duration>) {
         if self.wake.swap(false, Ordering::Acquire) {
             return;
@@ -150,13 +152,13 @@ impl Runner {
         self.wake.store(false, Ordering::Release);
     }
 
-    /// Asks the node's thread to end; it does when its call has returned.
+    /// Asks the node's thread to end once its call has returned.
     pub fn ask_to_leave(&self) {
         self.leave.request();
         self.wake();
     }
 
-    /// Takes the node out of the graph: its thread closes the instance and ends.
+    /// Removes the node from the graph: its thread closes the instance and ends.
     pub fn retire(&self) {
         self.retired.store(true, Ordering::Release);
         self.ask_to_leave();
@@ -167,7 +169,7 @@ impl Runner {
         self.retired.load(Ordering::Acquire)
     }
 
-    /// Longest time of recent ticks of the inline chain that starts here, in ns; `u64::MAX` before the first.
+    /// Maximum time of recent ticks of the inline chain that starts here, in ns; `u64::MAX` before the first.
     #[inline]
     pub fn chain_ns(&self) -> u64 {
         self.chain_ns.load(Ordering::Relaxed)

@@ -4,16 +4,16 @@ use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 
 /// Arrival times that are kept per source: as many ticks may be in the graph at once.
 const ARRIVALS: usize = 4096;
-/// Times that are not read, because the source may overwrite them meanwhile.
+/// Oldest times that are not read, because the source may overwrite them meanwhile.
 const MARGIN: u64 = 64;
 /// Counters of a source. The source's thread writes them; the watchdog does when it abandons a call of that thread.
 pub(crate) struct SourceTicks {
     /// Newest capture time, `i64::MIN` before the first tick.
     last_capture_ns: AtomicI64,
     made: AtomicU64,
-    /// How many of them have no frame although a node reads one.
+    /// Number of them without a frame although a node reads one.
     empty: AtomicU64,
-    /// Arrival times of the newest ticks, `i64::MIN` for none; empty for a node that is no source.
+    /// Arrival times of the newest ticks, `i64::MIN` for none; empty for a node that is not a source.
     arrived_ns: Box<[AtomicI64]>,
     /// The first tick of this source, after those of its predecessors.
     first: AtomicU64,
@@ -22,7 +22,7 @@ pub(crate) struct SourceTicks {
 }
 
 impl SourceTicks {
-    /// No tick yet.
+    /// Counters of a source before its first tick.
     pub fn new(is_source: bool) -> Self {
         let len = if is_source { ARRIVALS } else { 0 };
         let arrived_ns = (0..len).map(|_| AtomicI64::new(i64::MIN)).collect();
@@ -46,7 +46,7 @@ impl SourceTicks {
         self.made().saturating_sub(self.empty.load(Ordering::Relaxed))
     }
 
-    /// The tick that is being made has no frame although a node reads one.
+    /// Counts the tick that is being made as one without a frame although a node reads one.
     pub fn count_empty(&self) {
         self.empty.fetch_add(1, Ordering::Relaxed);
     }
@@ -104,14 +104,15 @@ impl SourceTicks {
         (self.made() + MARGIN).saturating_sub(ARRIVALS as u64)
     }
 
-    /// Whether the arrival time of tick `seq` is not kept any more: its age is not known, and higher than [`Self::arrived_ns`] says.
+    /// Whether the arrival time of tick `seq` was discarded: its age is unknown, and higher than [`Self::arrived_ns`]
+    /// says.
     pub fn is_forgotten(&self, seq: u64) -> bool {
         !self.arrived_ns.is_empty() && seq < self.oldest_kept()
     }
 
-    /// When the light of tick `seq` arrived, in ns of the host's clock. Of a tick that is older than all that are kept, the oldest time that
-    /// is kept: its age counts as less than it is, but never as that of a new tick. `None` for a node that is no source and for a tick
-    /// that was not made.
+    /// When the light of tick `seq` arrived, in ns of the host's clock. For a tick older than all kept times, the
+    /// oldest kept time: its age is then too low, but never that of a new tick. `None` for a node that is not a source
+    /// and for a tick that was not made.
     pub fn arrived_ns(&self, seq: u64) -> Option<i64> {
         let made = self.made();
         if self.arrived_ns.is_empty() || seq > made {

@@ -79,7 +79,7 @@ fn loops_nest() {
     CURRENT.set(None);
 }
 
-/// Chunks that wait until they are let go.
+/// Chunks that wait for a signal of the test.
 struct Gate {
     open: Mutex<bool>,
     opened: Condvar,

@@ -1,7 +1,7 @@
 //! Runs ticks through the plan.
 //!
-//! The thread that runs a node has its join marked as running and owns its `Exec`. The plan is loaded for every node that starts: a node
-//! only starts after its region admitted a tick, and a region with a tick inside is never changed.
+//! The thread that runs a node has its join marked as running and owns its `Exec`. The plan is loaded for every node
+//! that starts: a node only starts after its region admitted a tick, and a region with a tick inside is never changed.
 
 mod take;
 
@@ -60,7 +60,8 @@ pub(crate) struct Shared {
     pub own_threads: Mutex<HashMap<u32, OwnThread>>,
     /// A call without a budget that takes longer counts as hung.
     pub hang_ns: u64,
-    /// When the run was asked to end, 0 before; a call that takes longer than `stop_limit_ns` from then on counts as hung, too.
+    /// When the run was asked to end, 0 before. From then on a call that takes longer than `stop_limit_ns` counts as
+    /// hung.
     pub stop_ns: AtomicU64,
     pub stop_limit_ns: u64,
     /// Media time between two ticks of the fastest source.
@@ -95,8 +96,8 @@ impl Ready {
         self.len += 1;
     }
 
-    /// Sends all nodes to their threads except one whose chain takes at most `allowance_ns`, which the caller runs itself: an urgent one, if there
-    /// is one, a patient one only if no urgent task waits.
+    /// Sends all nodes to their threads except one whose chain takes at most `allowance_ns`, which the caller runs
+    /// itself: an urgent one, if there is one, a patient one only if no urgent task waits.
     pub fn dispatch_ready(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
         let nodes = &self.nodes[..self.len];
         let fits = |node: &usize| {
@@ -115,7 +116,7 @@ impl Ready {
     }
 }
 
-/// What to do with a node after an attempt to take its next tick.
+/// Next step of a node after an attempt to take its next tick.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Next {
     Run,
@@ -148,8 +149,9 @@ impl Shared {
         }
     }
 
-    /// Runs a node and its successors on this thread; `false` if the watchdog abandoned the thread. A worker has no time limit
-    /// (`u64::MAX`); a node's own thread runs other chains only as long as they are known to fit into its allowance.
+    /// Runs a node and its successors on this thread; `false` if the watchdog abandoned the thread. A worker has no
+    /// time limit (`u64::MAX`); a node's own thread runs other chains only as long as they are known to fit into its
+    /// allowance.
     pub fn run(&self, node: usize, scratch: &mut Scratch, mut allowance_ns: u64) -> bool {
         let is_worker = allowance_ns == u64::MAX;
         let mut current = node;
@@ -176,7 +178,8 @@ impl Shared {
         }
     }
 
-    /// Runs one staged tick of a node and its inline chain. Returns whether the next tick is staged, `None` if a call was abandoned.
+    /// Runs one staged tick of a node and its inline chain. Returns whether the next tick is staged, `None` if a call
+    /// was abandoned.
     fn run_tick(&self, plan: &Plan, node: usize, scratch: &mut Scratch, ready: &mut Ready) -> Option<bool> {
         let runtime = &plan.runtimes[node];
         let staged = {
@@ -262,8 +265,8 @@ impl Shared {
         }
     }
 
-    /// Runs the inline readers of the outputs in `scratch.made[0]`, delivers the outputs of the last one and notifies the region. Returns when
-    /// the last call ended, `None` if one was abandoned.
+    /// Runs the inline readers of the outputs in `scratch.made[0]`, delivers the outputs of the last one and notifies
+    /// the region. Returns when the last call ended, `None` if one was abandoned.
     fn chain(
         &self,
         plan: &Plan,
@@ -330,7 +333,8 @@ impl Shared {
         Some(now_ns)
     }
 
-    /// Finishes a tick from a node on whose call was abandoned: its outputs are empty, and the rest of its chain is skipped.
+    /// Finishes a tick from a node on whose call was abandoned: its outputs are empty, and the rest of its chain is
+    /// skipped.
     pub fn skip_from(&self, plan: &Plan, node: usize, tick: Tick, ready: &mut Ready) {
         let mut last = node;
         while let Some(inline) = plan.wiring[last].inline {
@@ -477,8 +481,9 @@ impl Shared {
         self.go_on(plan, node, next, ready);
     }
 
-    /// Delivers to the successor of a node that a change replaced while its producer, in a region that the change does not hold, was in a call
-    /// under the plan before. The producer's readers are the same in both plans: otherwise the change would hold its region.
+    /// Delivers to the successor of a node that a change replaced while its producer, in a region that the change does
+    /// not hold, was in a call under the plan before. The producer's readers are the same in both plans: otherwise the
+    /// change would hold its region.
     #[cold]
     fn arrive_at_successor(&self, reader: &Reader, frame: FrameRef) {
         // The change holds this lock until its plan is stored.
@@ -529,7 +534,7 @@ impl Shared {
         }
     }
 
-    /// Counts a node that is finished or removed.
+    /// Counts a finished or removed node.
     pub fn one_finished(&self) {
         if self.unfinished.fetch_sub(1, Ordering::AcqRel) == 1 {
             self.end_ns.store(clock::now_ns(), Ordering::Relaxed);
@@ -553,7 +558,7 @@ impl Shared {
         self.finished.notify_all();
     }
 
-    /// Asks the sources to end.
+    /// Ends the sources.
     pub fn stop(&self) {
         let _ = self.stop_ns.compare_exchange(0, clock::now_ns().max(1), Ordering::Relaxed, Ordering::Relaxed);
         self.stopping.store(true, Ordering::Release);
@@ -576,8 +581,8 @@ impl Shared {
     }
 }
 
-/// Prefetches what the next nodes of a chain will touch, each step as early as its address is known: after a pause, or in a long
-/// chain, it is in no fast cache.
+/// Prefetches what the next nodes of a chain will touch, each step as early as its address is known: after a pause, or
+/// in a long chain, it is in no fast cache.
 #[inline]
 fn prefetch_next(links: &[Link], at: usize) {
     if let Some(link) = links.get(at + 1) {
@@ -588,7 +593,7 @@ fn prefetch_next(links: &[Link], at: usize) {
     }
 }
 
-/// Whether a reader accepts a frame.
+/// Whether a reader accepts the format of a frame.
 #[inline]
 fn takes(accepts: u32, frame: &Frame) -> bool {
     accepts == 0 || frame.is_empty() || (frame.format < 32 && accepts >> frame.format & 1 == 1)

@@ -1,4 +1,4 @@
-//! How a node takes its next tick: by the clock, or as the decider says.
+//! Choice of a node's next tick: by the clock, or by the decider.
 
 use std::sync::atomic::Ordering;
 

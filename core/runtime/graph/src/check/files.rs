@@ -66,7 +66,7 @@ impl<'a> Checker<'a> {
         ports.into_iter().map(move |port| PathBuf::from(text.replace(PORT, port)))
     }
 
-    /// What a parameter that writes nothing may read: a path, or the texts of a list that may name files.
+    /// Files that a parameter without output may read: a path, or the texts of a list that may name files.
     fn read_files(&self, declared: &Param, value: &ParamValue) -> std::vec::IntoIter<PathBuf> {
         let paths: Vec<PathBuf> = match value {
             ParamValue::Path(path) => vec![tidy(path)],
@@ -85,7 +85,7 @@ impl<'a> Checker<'a> {
         format!("`{name}` of `{}`", self.id(file.node))
     }
 
-    /// A path as a graph file would write it, where it lies in the folder of the graph.
+    /// A path as a graph file would write it, if it is in the folder of the graph.
     fn shown(&self, path: &Path) -> String {
         path.strip_prefix(tidy(&self.resolve("."))).unwrap_or(path).display().to_string()
     }
@@ -134,7 +134,7 @@ impl<'a> Checker<'a> {
     }
 }
 
-/// Whether reading `read` (a file, a folder of pictures, a pattern) can meet the file `written`.
+/// Whether reading `read` (a file, a folder of images, a pattern) can meet the file `written`.
 fn holds(read: &Path, written: &Path) -> bool {
     if read == written || (written.parent() == Some(read) && read.is_dir()) {
         return true;
@@ -143,7 +143,7 @@ fn holds(read: &Path, written: &Path) -> bool {
     name.contains(['*', '%', '?']) && read.parent() == written.parent() && read.extension() == written.extension()
 }
 
-/// Whether the path is neither a file nor a folder nor free: what is written to /dev/null is not lost by writing it twice.
+/// Whether the path is a device or a pipe, such as /dev/null, to which several nodes may write.
 fn is_device(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
 }

@@ -1,4 +1,4 @@
-//! How ticks flow: cycles, order, joins that can never happen, nodes without use.
+//! How ticks flow: cycles, order, joins that can never happen, unused nodes.
 
 use super::{Checker, Link};
 use crate::checked::Align;
@@ -9,7 +9,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::ops::Range;
 
-/// Cycles named before giving up; each may hide others that share its edges.
+/// Maximum number of reported cycles; each may hide others that share its edges.
 const MAX_CYCLES: usize = 20;
 
 /// Whose ticks a node works on.
@@ -68,8 +68,8 @@ impl<'a> Checker<'a> {
         firsts.into_iter().filter_map(|first| min_cycle(&graph, first, &part_of)).collect()
     }
 
-    /// The link of a cycle that is best delayed: into an optional input if there is one, and from a later node of the file
-    /// to an earlier one.
+    /// The link of a cycle that is best delayed: into an optional input if there is one, and from a later node of the
+    /// file to an earlier one.
     fn back_edge(&self, cycle: &[usize]) -> usize {
         let badness = |&&i: &&usize| {
             let link = &self.links[i];
@@ -94,7 +94,7 @@ impl<'a> Checker<'a> {
         names.join(" -> ")
     }
 
-    /// A reference as it stands in the file, without quotes.
+    /// A reference as written in the file, without quotes.
     fn written(&self, span: &Range<usize>) -> &'a str {
         self.text.sources.text(span).trim_matches(['"', '\''])
     }
@@ -135,7 +135,8 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Cycles in which every node needs the one before: the first value never comes, delay or not.
+    /// Reports cycles in which every node needs the one before, so that a first value never exists, with or without
+    /// `delay`.
     fn dead_cycles(&mut self) {
         let required: Vec<bool> = self.links.iter().map(|l| l.to_port.is_some() && self.is_required(l)).collect();
         for cycle in self.cycles(|i| required[i]) {
@@ -153,7 +154,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Nodes so that direct links go forward, ties in file order.
+    /// Order of the nodes in which direct links go forward, ties in file order.
     fn order(&self, direct: &[bool]) -> Vec<usize> {
         let count = self.text.flat.nodes.len();
         let mut waiting = vec![0usize; count];
@@ -176,7 +177,7 @@ impl<'a> Checker<'a> {
         order
     }
 
-    /// Exact inputs that work on the ticks of different sources never meet.
+    /// Reports nodes whose exact inputs carry ticks of different sources, which never match.
     fn joins(&mut self, order: &[usize], direct: &[bool]) {
         let mut into: Vec<Vec<usize>> = vec![Vec::new(); self.text.flat.nodes.len()];
         for (i, link) in self.links.iter().enumerate() {
@@ -248,7 +249,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Nodes that have no effect and feed none that has.
+    /// Reports nodes that have no effect and feed no node that has one.
     fn unused(&mut self) {
         // An unread line or a wrong input may be the one that uses a node.
         const WIRING: [&str; 17] = [

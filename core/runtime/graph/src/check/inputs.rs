@@ -61,11 +61,11 @@ impl<'a> Checker<'a> {
         near.or(only)
     }
 
-    /// List or not.
+    /// Checks whether the input may be written as a list.
     fn shape(&mut self, input: &InputText, declared: Option<&Port>) {
         let Some(port) = declared else { return };
         if input.is_list && !port.list {
-            let message = format!("input `{}` takes one connection, this is a list", port.name);
+            let message = format!("input `{}` takes one connection, not a list", port.name);
             let help = match input.refs.as_slice() {
                 [] => "write \"node.port\", or remove the input".to_owned(),
                 [first, ..] => format!("write {} = \"{}.{}\"", port.name, first.node, first.port),

@@ -1,4 +1,4 @@
-//! Which nodes run in processes of their own, and which cannot.
+//! Which nodes run in separate processes, and which cannot.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,8 @@ impl GraphText {
         node.on.as_ref().or(node.isolate.as_ref()).or_else(of_plugin)
     }
 
-    /// The group that a node runs in: as [`Self::group_of`], else, if another program runs it, a group of its plugin's name.
+    /// The group that a node runs in: as [`Self::group_of`], else, if another program runs it, a group of its plugin's
+    /// name.
     pub(crate) fn group_name<'t>(&'t self, node: &'t NodeText, node_type: &'t NodeType) -> Option<&'t str> {
         let of_plugin = || node_type.interpreter.as_ref().map(|_| node_type.plugin.as_str());
         self.group_of(node, &node_type.plugin).map(|group| group.value.as_str()).or_else(of_plugin)
@@ -29,7 +30,7 @@ impl GraphText {
         self.machines.iter().rev().find(|known| known.name.value == *name).map(|known| &known.machine)
     }
 
-    /// What a group may not do.
+    /// Denied permissions of a group.
     pub(crate) fn denied_to(&self, group: &str) -> Deny {
         let entry = self.deny.iter().rev().find(|(name, _)| name.value == group);
         entry.map(|(_, deny)| *deny).unwrap_or_default()
@@ -93,7 +94,7 @@ impl Checker<'_> {
         }
     }
 
-    /// Which nodes run on which machine, and which cannot.
+    /// Checks which nodes run on which machine.
     fn machines(&mut self) {
         let text = self.text;
         let machines = || text.machines.iter().map(|known| known.name.value.as_str());
@@ -144,7 +145,7 @@ impl Checker<'_> {
         }
     }
 
-    /// What H.264 does to nodes of machines and behind them.
+    /// Warns of lossy H.264 pixels at nodes of machines and downstream of them.
     fn coded_pixels(&mut self) {
         let text = self.text;
         let nodes = &text.flat.nodes;
@@ -188,7 +189,8 @@ impl Checker<'_> {
         }
     }
 
-    /// One program runs a group: nodes of two Python environments, or of Python and of a library, cannot share it.
+    /// Checks that one program can run each group: nodes of two Python environments, or of Python and of a library,
+    /// cannot share it.
     fn interpreters(&mut self) {
         let text = self.text;
         let mut first: Vec<(&str, &Option<PathBuf>, String)> = Vec::new();

@@ -1,4 +1,4 @@
-//! Everything that needs the catalog: names, types, limits, and how ticks flow through the wiring.
+//! Checks that need the catalog: names, types, limits, and how ticks flow through the wiring.
 
 mod files;
 mod flow;
@@ -27,7 +27,7 @@ pub struct Checked {
 }
 
 impl Checked {
-    /// The graph and its warnings, or all that is wrong.
+    /// The graph and its warnings, or all diagnostics.
     pub fn into_result(self) -> Result<(Graph, Diagnostics), Diagnostics> {
         match self.graph {
             Some(graph) => Ok((graph, self.diagnostics)),
@@ -102,7 +102,7 @@ struct Checker<'a> {
     diagnostics: Diagnostics,
     /// Position of each node; the first of several of one name.
     ids: HashMap<&'a str, usize>,
-    /// Names of more than one node: what refers to them is in doubt.
+    /// Names that several nodes have; references to them are ambiguous.
     doubled: HashSet<&'a str>,
     /// Per node, whether its parameters and inputs are without errors so far.
     sound: Vec<bool>,
@@ -142,7 +142,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Outputs and parameters that parts name and that their nodes do not have.
+    /// Checks that outputs and parameters named by parts exist.
     fn exports(&mut self) {
         let flat = &self.text.flat;
         for target in &flat.outputs {
@@ -159,7 +159,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// What is said of the value of an argument belongs where the value was given.
+    /// Moves diagnostics about the value of an argument to where the value was given.
     fn move_to_arguments(&mut self) {
         let text = self.text;
         for d in self.diagnostics.iter_mut() {

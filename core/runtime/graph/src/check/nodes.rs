@@ -1,4 +1,4 @@
-//! What the nodes themselves check, and the folders that plugins are looked for in.
+//! Checks by the nodes themselves, and of the folders in which plugins are searched.
 
 use super::Checker;
 use crate::catalog::NodeType;
@@ -27,7 +27,8 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Asks each node about its values and wiring. One that has a mistake already is not asked: what it says would follow from that.
+    /// Asks each node about its values and wiring. Nodes with earlier errors are skipped, because their reports would
+    /// only be consequences.
     pub(super) fn nodes(&mut self, params: &[Vec<ParamValue>]) {
         // What cannot be read may be what a node asks for.
         if self.text.incomplete {
@@ -69,7 +70,8 @@ impl<'a> Checker<'a> {
         Wiring { connections, outputs_read: read.fold(0, |bits, port| bits | port_bit(port)) }
     }
 
-    /// Where the value of a parameter was given: the last setting of the command line, else the file; `None` when its default holds.
+    /// Origin of a parameter's value: the last setting of the command line, else the file; `None` when its default
+    /// holds.
     pub(super) fn given(&self, node: usize, param: &str) -> Option<&'a Range<usize>> {
         let text = self.text;
         let id = self.id(node);

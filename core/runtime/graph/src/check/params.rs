@@ -13,7 +13,7 @@ use crate::value::{Kind, Value};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// What is wrong with a value.
+/// A problem of a value.
 struct Wrong {
     code: &'static str,
     span: Range<usize>,
@@ -87,7 +87,7 @@ impl<'a> Checker<'a> {
         values
     }
 
-    /// A default file that is not there, unless `--set` gives another.
+    /// Reports a missing default file, unless `--set` gives another.
     fn default_file(&mut self, index: usize, node: &'a NodeText, node_type: &NodeType, param: &Param) {
         let ParamKind::Path { default, must_exist: true } = &param.kind else { return };
         let replaced =
@@ -177,7 +177,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Where a default stands: beside the plugin when it comes with it, else beside the graph file.
+    /// Path of a default: next to the plugin when it is shipped with it, else next to the graph file.
     fn default_path(&self, node_type: &NodeType, param: &Param, default: &str) -> PathBuf {
         match param.shipped && !default.is_empty() {
             true => node_type.shipped_dir.join(default),
@@ -185,7 +185,8 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// The path of a parameter: relative to the file that the span lies in; a written one of an installed file to the folder for outputs.
+    /// The path of a parameter: relative to the file that contains the span; for written paths of installed graphs, to
+    /// the folder for outputs.
     fn resolve_param(&self, span: &Range<usize>, param: &Param, path: &str) -> PathBuf {
         let is_relative = !path.is_empty() && Path::new(path).is_relative();
         if param.writes && is_relative && installed::data_dir(&self.text.sources.of(span).dir).is_some() {
@@ -199,7 +200,7 @@ impl<'a> Checker<'a> {
         self.resolve_at(&(0..0), path)
     }
 
-    /// A path that is relative to the file that a span lies in.
+    /// A path that is relative to the file that contains a span.
     pub(super) fn resolve_at(&self, span: &Range<usize>, path: &str) -> PathBuf {
         if path.is_empty() { PathBuf::new() } else { self.text.sources.of(span).dir.join(path) }
     }
@@ -263,7 +264,7 @@ impl<'a> Checker<'a> {
                     return Err(Wrong {
                         code: "param-length",
                         span: value.span.clone(),
-                        message: format!("`{name}` has {} numbers, it takes {count}", numbers.len()),
+                        message: format!("`{name}` has {} numbers; it must have {count}", numbers.len()),
                         label: format!("expected {count}"),
                         help: doc(param),
                     });
@@ -306,7 +307,7 @@ fn floats(param: &Param, items: &[Value], nested: bool, numbers: &mut Vec<f64>) 
             kind => match kind.number() {
                 Some(number) => numbers.push(number),
                 None => {
-                    let message = format!("`{}` is a list of numbers, this is {}", param.name, kind.found());
+                    let message = format!("`{}` must be a list of numbers, not {}", param.name, kind.found());
                     return Err(Wrong {
                         code: "param-type",
                         span: item.span.clone(),
@@ -345,7 +346,7 @@ fn wrong_type(param: &Param, value: &Value) -> Wrong {
     Wrong {
         code: "param-type",
         span: value.span.clone(),
-        message: format!("`{}` must be {expected}, this is {}", param.name, value.value.found()),
+        message: format!("`{}` must be {expected}, not {}", param.name, value.value.found()),
         label: format!("expected {expected}"),
         help,
     }
@@ -371,8 +372,8 @@ fn out_of_range(param: &Param, value: &Value, shown: &str) -> Wrong {
         code: "param-range",
         span: value.span.clone(),
         message: match shown.ends_with(|c: char| c.is_ascii_digit()) {
-            true => format!("`{}` is {}, allowed are {limits}", param.name, with_unit(shown, &param.unit)),
-            false => format!("`{}` is {shown}, allowed are {limits}", param.name),
+            true => format!("`{}` is {}; allowed: {limits}", param.name, with_unit(shown, &param.unit)),
+            false => format!("`{}` is {shown}; allowed: {limits}", param.name),
         },
         label: format!("expected {limits}"),
         help: doc(param),
@@ -404,7 +405,7 @@ fn on_step(
         code: "param-step",
         span: value.span.clone(),
         message: format!(
-            "`{}` is {}, allowed are {}",
+            "`{}` is {}; allowed: {}",
             param.name,
             with_unit(&number.to_string(), &param.unit),
             limits(param)

@@ -35,7 +35,8 @@ impl<'a> Checker<'a> {
         };
         let packet = &node_type.outputs[port].packet.name;
         if packet != PacketType::ANY && !PresetView::PACKETS.contains(&packet.as_str()) {
-            let message = format!("`{}.{}` is {packet}, that has no picture", reference.node, reference.port);
+            let message =
+                format!("`{}.{}` is {packet}, which cannot be shown as an image", reference.node, reference.port);
             self.error("wrong-view", &reference.span, message).help("the theatre shows pictures, maps and clouds");
             return None;
         }
@@ -88,7 +89,7 @@ impl<'a> Checker<'a> {
         Some(Pin { node, param: index, range, label })
     }
 
-    /// A reference to a node that is not there.
+    /// Reports a reference to an unknown node.
     pub(super) fn unknown_node(&mut self, span: &Range<usize>, id: &str) {
         // Its table may be one of the lines that could not be read.
         if self.text.incomplete {

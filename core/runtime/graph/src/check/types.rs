@@ -6,7 +6,7 @@ use crate::nearest::{list, nearest};
 use crate::value::Spanned;
 use std::collections::{HashMap, HashSet};
 
-/// Help where there is no plugin anywhere, as after a plain `cargo build`, which leaves none where they are looked for.
+/// Help when no plugin is found at all, as after a plain `cargo build`, which leaves none in the search path.
 const NO_PLUGIN_AT_ALL: &str = "no plugin was found at all
 plugins are looked for in `plugins` beside the program, in the folders that PANOSCOPE_PLUGIN_PATH names and in the graph's `plugin_paths`
 `cargo build` does not put them there: run `cargo xtask build`, or `cargo xtask install DIR` for a folder that works without cargo";
@@ -135,7 +135,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// A type that no loaded plugin has: one that was found and not loaded may.
+    /// Reports a type that no loaded plugin has, with the unloaded plugins that offer it.
     fn unloaded_type(&mut self, node: &'a NodeText, name: &Spanned<String>) {
         let (plugins, file) = (self.catalog.offering(&name.value), self.file_of(node));
         // Listed, found and yet not loaded: that is reported at `plugins`.
@@ -156,7 +156,7 @@ impl<'a> Checker<'a> {
         self.error("plugin-not-listed", &name.span, message).help(help);
     }
 
-    /// The line that lists what this graph needs: one of `plugins`, and all others that leave no doubt.
+    /// The line that lists what this graph needs: one of `plugins`, and all others that are unambiguous.
     fn plugins_help(&self, file: usize, plugins: &[&str]) -> String {
         let own = self.text.flat.plugins.iter().filter(|(index, _)| *index == file).flat_map(|(_, plugins)| plugins);
         let mut wanted: Vec<&str> = own.map(|p| p.value.as_str()).collect();

@@ -11,7 +11,8 @@ use std::path::Path;
 use toml_edit::{Item, Table, Value as EditValue};
 
 impl FileEdits<'_> {
-    /// Puts the nodes of a part in its place. The part's file stays as it is. Returns the whole names of the nodes, before and after.
+    /// Replaces a part by its nodes. The part's file stays as it is. Returns the whole names of the nodes, before and
+    /// after.
     ///
     /// # Errors
     /// There is no such part, an overlay changes it, or an input is connected both inside and outside.

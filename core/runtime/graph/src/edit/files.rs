@@ -1,5 +1,5 @@
-//! Changes to a graph of several files: each goes into the file that the node is written in, and a wire across the edge of a part goes through
-//! the names that the part offers.
+//! Changes to a graph of several files: each goes into the file that the node is written in, and a connection across
+//! the boundary of a part goes through the names that the part offers.
 
 use super::part::PartPortKind;
 use super::references::mentions;
@@ -78,7 +78,7 @@ impl<'g> FileEdits<'g> {
         self.created.insert(path, text);
     }
 
-    /// The files whose text is another one now, by absolute path: the text before, which is `None` for a new file, and the text now.
+    /// The changed files by absolute path: the text before, `None` for a new file, and the text now.
     pub fn into_texts(self) -> Vec<(PathBuf, Option<String>, String)> {
         let files = self.graph.files();
         let before = |path: &Path| files.iter().find(|f| f.key() == path).map(|f| f.text.to_owned());
@@ -96,7 +96,7 @@ impl<'g> FileEdits<'g> {
         found.ok_or_else(|| EditError::NoPart { id: part.to_owned() })
     }
 
-    /// Where a node is written; for one that was just added, the file of its part.
+    /// File that defines a node; for a node that was just added, the file of its part.
     pub(super) fn home(&mut self, id: &str) -> Result<NodeHome, EditError> {
         if let Some(home) = self.graph.node_home(id) {
             return Ok(home);
@@ -109,7 +109,7 @@ impl<'g> FileEdits<'g> {
         }
     }
 
-    /// As [`Self::home`], of a node that is not an overlay's.
+    /// As [`Self::home`]; refuses nodes of overlays.
     pub(super) fn own_home(&mut self, id: &str) -> Result<NodeHome, EditError> {
         let home = self.home(id)?;
         match home.kind {
@@ -120,7 +120,7 @@ impl<'g> FileEdits<'g> {
         }
     }
 
-    /// The nodes that are made of the same file as `part`; it is among them.
+    /// Parts that use the same file as `part`, including `part`.
     pub(super) fn users(&self, part: &str) -> Vec<String> {
         let file = self.parts.iter().find(|p| p.id == part).and_then(|p| p.path.clone());
         file.map(|file| self.graph.part_users(&file)).unwrap_or_default()
@@ -147,7 +147,8 @@ impl<'g> FileEdits<'g> {
         Ok(whole(part, name))
     }
 
-    /// Connects one entry of an input, as [`GraphEdit::connect`]. Where the wire leaves or enters a part, the part offers a name for it from now on.
+    /// Connects one entry of an input, as [`GraphEdit::connect`]. Where the connection leaves or enters a part, the
+    /// part then offers a name for it.
     ///
     /// # Errors
     /// There is no such node, or a list would be supplied from inside and from outside a part.
@@ -171,7 +172,7 @@ impl<'g> FileEdits<'g> {
         self.file(&home.file)?.connect(&home.local, &input, list, index, &from)
     }
 
-    /// The name under which a part offers an output; it is added where there is none.
+    /// The name under which a part offers an output; added if absent.
     fn offer_output(&mut self, part: &str, node: &str, port: &str) -> Result<String, EditError> {
         let file = self.level_file(part)?;
         let edit = self.file(&file)?;
@@ -184,7 +185,7 @@ impl<'g> FileEdits<'g> {
         Ok(name)
     }
 
-    /// The name under which a part offers an input of `id` and of nothing else; it is added where there is none.
+    /// The name under which a part offers an input of `id` alone; added if absent.
     fn offer_input(&mut self, part: &str, id: &str, input: &str, list: bool) -> Result<String, EditError> {
         let home = self.home(id)?;
         if let Some(inside) = self.file(&home.file)?.input_references(&home.local, input) {
@@ -266,12 +267,13 @@ impl<'g> FileEdits<'g> {
         Ok(())
     }
 
-    /// The parts that have the nodes of `part`: itself and the others of its file; the graph file's level for an empty name.
+    /// The parts that have the nodes of `part`: itself and the others of its file; the graph file's level for an empty
+    /// name.
     fn level_users(&self, part: &str) -> Vec<String> {
         if part.is_empty() { vec![String::new()] } else { self.users(part) }
     }
 
-    /// Removes what users of a part do with a name that it does not offer any more.
+    /// Removes uses of a name that a part no longer offers.
     fn forget(&mut self, part: &str, kind: PartPortKind, name: &str) -> Result<(), EditError> {
         for user in self.level_users(part) {
             if user.is_empty() {
@@ -304,7 +306,7 @@ impl<'g> FileEdits<'g> {
         Ok(whole(&part, new))
     }
 
-    /// Adds a copy of a node beside it, with its inputs and parameters; returns the copy's whole name.
+    /// Adds a copy of a node next to it, with its inputs and parameters; returns the copy's whole name.
     ///
     /// # Errors
     /// There is no such node, it is an overlay's, or the name is taken.

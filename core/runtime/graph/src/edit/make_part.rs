@@ -1,4 +1,4 @@
-//! A part made of nodes of a graph: what the wires that cross the selection need becomes the part's inputs and outputs.
+//! Makes a part of selected nodes: connections that cross the selection become the part's inputs and outputs.
 
 use super::files::{FileEdits, local, parent, whole};
 use super::part::{PartPortKind, free_name};
@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 use toml_edit::{Array, InlineTable, Item, Table, Value as EditValue};
 
-/// What a part under construction offers: name, targets (`node.port`), and the value that the graph hands to it.
+/// Offer of a part under construction: name, targets (`node.port`), and the value that the graph hands to it.
 #[derive(Default)]
 struct Ports {
     entries: Vec<(String, Vec<String>, Option<EditValue>)>,
@@ -48,12 +48,13 @@ impl Ports {
 }
 
 impl FileEdits<'_> {
-    /// Moves nodes of one level into a new file `file`, and puts one node `name` in their place. Inputs, outputs and parameters of the part follow
-    /// from the wires, pins and arguments that cross the selection. Relative paths are rewritten for the folder of the new file. Returns the
-    /// part's whole name.
+    /// Moves nodes of one level into a new file `file`, and puts one node `name` in their place. Inputs, outputs and
+    /// parameters of the part follow from the wires, pins and arguments that cross the selection. Relative paths are
+    /// rewritten for the folder of the new file. Returns the part's whole name.
     ///
     /// # Errors
-    /// The nodes are on several levels or an overlay's, the name is taken, or a value cannot cross the edge of a part.
+    /// The nodes are on several levels or an overlay's, the name is taken, or a value cannot cross the boundary of a
+    /// part.
     pub fn make_part(
         &mut self,
         catalog: &Catalog,
@@ -280,7 +281,7 @@ impl GraphEdit {
     }
 }
 
-/// Takes inputs that are supplied from outside out of a node.
+/// Removes inputs that are supplied from outside from a node.
 fn take_inputs(id: &str, node: &mut Item, inside: &dyn Fn(&str) -> bool, inputs: &mut Ports) -> Result<(), EditError> {
     let Some(entries) = node.get_mut("inputs").and_then(Item::as_table_like_mut) else { return Ok(()) };
     let mut crossing = Vec::new();
@@ -334,7 +335,7 @@ fn has_argument(value: &EditValue) -> bool {
     }
 }
 
-/// Refuses arguments in entries of a node that nobody can hand to a part.
+/// Refuses arguments in entries of a node that cannot become parameters of a part.
 fn refuse_arguments(id: &str, node: &Item) -> Result<(), EditError> {
     let entries = node.as_table_like().into_iter().flat_map(|t| t.iter());
     for (key, item) in entries.filter(|(key, _)| !matches!(*key, "inputs" | "params")) {

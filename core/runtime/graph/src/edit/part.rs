@@ -4,7 +4,7 @@ use super::references::{mentions, rename_reference, replace};
 use super::{EditError, GraphEdit, put_entry, take_entry};
 use toml_edit::{Array, InlineTable, Item, Table, TableLike, Value as EditValue};
 
-/// What a name of a part is.
+/// Kind of a name that a part offers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PartPortKind {
     /// An input.
@@ -18,7 +18,7 @@ pub enum PartPortKind {
 impl PartPortKind {
     pub(super) const ALL: [Self; 3] = [Self::Input, Self::Output, Self::Param];
 
-    /// The table inside `[part]`.
+    /// Name of its table inside `[part]`.
     fn key(self) -> &'static str {
         match self {
             Self::Input => "inputs",
@@ -42,7 +42,7 @@ impl GraphEdit {
         self.part_ports(kind).into_iter().flat_map(|ports| ports.iter()).map(|(name, _)| name.to_owned()).collect()
     }
 
-    /// What a name of the part stands for, each as `node.port`.
+    /// Targets of a name of the part, each as `node.port`.
     pub fn part_targets(&self, kind: PartPortKind, name: &str) -> Vec<String> {
         let item = self.part_ports(kind).and_then(|ports| ports.get(name));
         match item.and_then(Item::as_value) {
@@ -87,7 +87,8 @@ impl GraphEdit {
         free_name(node, port, |name| taken.iter().any(|t| t == name))
     }
 
-    /// Removes what the names of the part stand for in a node; returns the names that stand for nothing any more, which are removed.
+    /// Removes what the names of the part stand for in a node; returns the names that then stand for nothing; they are
+    /// removed.
     pub(super) fn remove_part_targets(&mut self, node: &str) -> Vec<(PartPortKind, String)> {
         let mut removed = Vec::new();
         for kind in PartPortKind::ALL {
@@ -152,8 +153,8 @@ impl GraphEdit {
         }
     }
 
-    /// Removes what the file does with a name that its node `user`, a part, does not offer any more; returns the names of this file's own
-    /// `[part]` that stand for nothing because of that, which are removed too.
+    /// Removes uses of a name that the file's node `user`, a part, no longer offers. Returns the names of this file's
+    /// own `[part]` that then stand for nothing; they are removed too.
     pub(super) fn forget_port(
         &mut self,
         user: &str,

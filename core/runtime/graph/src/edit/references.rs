@@ -52,7 +52,7 @@ pub(super) fn rename_reference(value: &mut EditValue, old: &str, new: &str) {
     replace(value, &renamed);
 }
 
-/// Puts a text in place of a value, with the spaces around it kept.
+/// Replaces a value by a text, with the spaces around it kept.
 pub(super) fn replace(value: &mut EditValue, text: &str) {
     let mut new = EditValue::from(text);
     *new.decor_mut() = value.decor().clone();

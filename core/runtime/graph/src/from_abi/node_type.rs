@@ -28,7 +28,8 @@ unsafe fn copied(node: *const abi::NodeType) -> abi::NodeType {
     }
 }
 
-/// The descriptor with every field of this version: itself, or a copy that lives as long as the process when its plugin is older.
+/// The descriptor with every field of this version: itself, or a copy that lives as long as the process when its plugin
+/// is older.
 ///
 /// # Safety
 /// `node` was accepted by [`super::node_types`] and stays valid until the process ends.

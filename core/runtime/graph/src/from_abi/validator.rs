@@ -22,7 +22,7 @@ pub(super) fn of(validate: Validate) -> Validator {
     Validator::new(move |setup| problems_of(setup, |call| unsafe { validate(call) }))
 }
 
-/// What the plugin reports, as [`abi::ValidateCall::invalid`] takes it.
+/// Report of the plugin, as [`abi::ValidateCall::invalid`] takes it.
 struct Sink {
     params: usize,
     problems: Vec<ParamProblem>,
@@ -49,7 +49,7 @@ unsafe extern "C" fn invalid(call: *mut c_void, severity: u32, param: u32, messa
     }));
 }
 
-/// What `ask` reports about a node to the call that it gets, which lives until `ask` returns. It may ask a plugin elsewhere.
+/// Reports of `ask` about a node to its call, which lives until `ask` returns. It may ask a plugin elsewhere.
 pub fn problems_of(
     setup: &NodeSetup<'_>,
     ask: impl FnOnce(*mut abi::ValidateCall) -> abi::Status,

@@ -1,4 +1,4 @@
-//! What a file declares for its users: arguments of a graph, the names that a part offers.
+//! Declarations of a file for its users: arguments of a graph, the names that a part offers.
 
 use super::{Reader, is_node_id};
 use crate::args::{ArgKind, ArgText};
@@ -9,7 +9,7 @@ use crate::value::{Kind, Spanned, Value};
 const ARG: [&str; 6] = ["type", "doc", "default", "range", "unit", "choices"];
 const PART: [&str; 3] = ["inputs", "outputs", "params"];
 const MACHINE: [&str; 4] = ["address", "pixels", "timeout_ms", "plaintext"];
-/// Longest time that a machine may be silent, ms.
+/// Maximum time without a message from a machine, ms.
 const MAX_SILENCE_MS: i64 = 60_000;
 
 impl Reader<'_> {
@@ -88,7 +88,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Objects to an address that names no protocol, or no port.
+    /// Reports an address without a protocol or port.
     fn address(&mut self, address: &Spanned<String>) {
         let (protocol, rest) = address.value.split_once('/').unwrap_or(("", &address.value));
         let (host, port) = rest.rsplit_once(':').unwrap_or((rest, ""));

@@ -1,6 +1,7 @@
-//! What a window and a running graph say to each other: JSON, and packets with bytes behind a head in JSON.
+//! Messages between a window and a running graph: JSON, and packets as a JSON head followed by bytes.
 //!
-//! Both sides are of one version, which is compared first. Neither believes the other: what is malformed ends the connection.
+//! Both sides must be of one version, which is compared first. Neither trusts the other: a malformed message ends the
+//! connection.
 
 use std::collections::BTreeMap;
 
@@ -12,104 +13,104 @@ use serde::{Deserialize, Serialize};
 use crate::attach::packet::{self, Packet, PacketError};
 use crate::attach::tunnel::{Frame, Kind};
 
-/// Maximum number of outputs of which a window gets pictures.
+/// Maximum number of outputs whose packets a window receives.
 pub const MAX_OUTPUTS: usize = 256;
-/// Longest text of a graph.
+/// Maximum length of a graph's text, bytes.
 pub const MAX_TEXT_BYTES: usize = 16 << 20;
 /// First byte of a message in JSON.
 const JSON: u8 = b'J';
 /// First byte of a packet.
 const PACKET: u8 = b'P';
 
-/// An output of which a window wants packets.
+/// An output whose packets a window requests.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Wanted {
     /// The node.
     pub node: String,
     /// Its output.
     pub port: String,
-    /// Maximum width of a picture, px.
+    /// Maximum width of an image, px.
     pub max_width: u32,
 }
 
-/// What a window sends.
+/// A command from a window.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Command {
-    /// Send packets of these outputs, and of no others.
+    /// Sends packets of these outputs and of no others.
     Preview {
         /// The outputs.
         wanted: Vec<Wanted>,
-        /// Minimum time between two packets of one.
+        /// Minimum time between two packets of one output.
         interval_ms: u64,
     },
-    /// A packet of this output was taken.
+    /// Acknowledges a packet of this output.
     Taken {
         /// The node.
         node: String,
         /// Its output.
         port: String,
     },
-    /// Make the running graph the one of `text`. Answered by [`Message::Ran`].
+    /// Replaces the running graph by the one in `text`. Answered by [`Message::Ran`].
     Run {
-        /// Names the answer.
+        /// Identifies the answer.
         id: u64,
-        /// The text that was edited. Where another one runs meanwhile, nothing is changed.
+        /// The text that was edited. Nothing changes if another text runs by now.
         base: String,
         /// The new text.
         text: String,
     },
 }
 
-/// A graph as it runs.
+/// A running graph as a window sees it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Opened {
-    /// The text that runs: the file with its parts, overlays and arguments in one.
+    /// The running text: the file with its parts, overlays and arguments in one.
     pub text: String,
-    /// The graph that was made of it, with the names of types in `catalog`.
+    /// The graph of that text; its types are in `catalog`.
     pub graph: Graph,
     /// The node types of the graph.
     pub catalog: Catalog,
     /// Whether this window may edit.
     pub may_edit: bool,
-    /// Who changed the graph last, in words; empty before the first change.
+    /// Description of who changed the graph last; empty before the first change.
     pub changed_by: String,
 }
 
-/// Why a change was not made.
+/// A change that was refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
     /// The node that caused it, if there is one.
     pub node: Option<String>,
-    /// In words.
+    /// The reason, as text.
     pub words: String,
 }
 
-/// What the running side sends.
+/// A message from the running side.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Message {
-    /// First, and after every change.
+    /// The graph; sent first, and after every change.
     Opened(Box<Opened>),
-    /// What each node did lately.
+    /// Counters and times of each node since the previous message.
     Counters(BTreeMap<String, NodeWindow>),
     /// The newest faults, oldest first.
     Faults(Vec<Fault>),
     /// Values of the parameters of nodes.
     Values(BTreeMap<String, Vec<ParamValue>>),
-    /// What became of a [`Command::Run`]: what was changed, or why nothing was.
+    /// Result of a [`Command::Run`]: the change, or why there was none.
     Ran {
-        /// Of the command.
+        /// The `id` of the command.
         id: u64,
-        /// In words.
+        /// Description of the change, or the refusal.
         result: Result<String, Refused>,
     },
-    /// The run is over.
+    /// The run has ended.
     Ended {
-        /// In words.
+        /// The reason, as text.
         words: String,
     },
 }
 
-/// What arrives at a window.
+/// A message or packet received by a window.
 pub enum Incoming {
     /// A message.
     Message(Message),
@@ -120,13 +121,13 @@ pub enum Incoming {
 /// A malformed message.
 #[derive(Debug, thiserror::Error)]
 pub enum BadMessage {
-    /// It is neither JSON nor a packet, or too long.
+    /// Neither JSON nor a packet, or too long.
     #[error("a message of another machine is malformed; install the same version on both")]
     Malformed,
-    /// JSON of another form.
+    /// JSON of an unexpected form.
     #[error("a message of another machine is malformed ({0}); install the same version on both")]
     Json(#[from] serde_json::Error),
-    /// A packet that is damaged.
+    /// A damaged packet.
     #[error(transparent)]
     Packet(#[from] PacketError),
 }
@@ -140,34 +141,34 @@ fn json<T: Serialize>(value: &T) -> Vec<u8> {
     bytes
 }
 
-/// A command as bytes.
+/// Encodes a command.
 pub fn write_command(command: &Command) -> Vec<u8> {
     json(command)
 }
 
-/// A message as bytes.
+/// Encodes a message.
 pub fn write_message(message: &Message) -> Vec<u8> {
     json(message)
 }
 
-/// The state that a frame carries and that a later frame replaces; `None` for what has to arrive as it is.
+/// The state in a frame that a later frame may replace; `None` for frames that must all arrive.
 pub(crate) fn state_of(frame: &Frame) -> Option<&'static str> {
     let text = frame.bytes.strip_prefix(&[JSON, b'{', b'"'])?;
     let states = ["Opened", "Counters", "Faults", "Values"].into_iter();
     states.filter(|_| frame.kind == Kind::Data).find(|state| text.starts_with(state.as_bytes()))
 }
 
-/// A packet as bytes.
+/// Encodes a packet.
 pub fn write_packet(packet: &packet::Outgoing) -> Vec<u8> {
     let mut bytes = vec![PACKET];
     packet.write(&mut bytes);
     bytes
 }
 
-/// Reads what a window sent.
+/// Decodes a command of a window.
 ///
 /// # Errors
-/// It is malformed, or asks for too much.
+/// It is malformed or exceeds a limit.
 pub fn read_command(bytes: &[u8]) -> Result<Command, BadMessage> {
     let Some((&JSON, rest)) = bytes.split_first() else { return Err(BadMessage::Malformed) };
     let command = serde_json::from_slice(rest)?;
@@ -178,7 +179,7 @@ pub fn read_command(bytes: &[u8]) -> Result<Command, BadMessage> {
     }
 }
 
-/// Reads what the running side sent.
+/// Decodes a message or packet of the running side.
 ///
 /// # Errors
 /// It is malformed.
@@ -190,7 +191,7 @@ pub fn read_incoming(bytes: &[u8]) -> Result<Incoming, BadMessage> {
     }
 }
 
-/// Checks what a window takes for granted: a graph's indices lie inside the graph and its catalogue.
+/// Checks what a window relies on: that a graph's indices are inside the graph and its catalogue.
 fn checked(message: Message) -> Result<Message, BadMessage> {
     let Message::Opened(opened) = &message else { return Ok(message) };
     let Opened { graph, catalog, .. } = &**opened;
@@ -211,7 +212,7 @@ fn checked(message: Message) -> Result<Message, BadMessage> {
     if edges && nodes && views && pins { Ok(message) } else { Err(BadMessage::Malformed) }
 }
 
-/// Counters as JSON can hold them: it knows no infinity.
+/// Replaces infinite counters, which JSON cannot represent.
 pub fn finite(mut nodes: BTreeMap<String, NodeWindow>) -> BTreeMap<String, NodeWindow> {
     for node in nodes.values_mut() {
         for number in [&mut node.fps, &mut node.p50_ms, &mut node.p99_ms] {

@@ -1,14 +1,16 @@
-//! Windows of other machines on a running graph: what they exchange, and both ends of it.
+//! Windows of other machines on a running graph: their messages, and both ends of the connection.
 //!
-//! `panoscope run GRAPH --attachable ADDRESS` makes a graph [`Attachable`]. `panoscope edit --attach NAME` and `panoscope theatre --attach NAME` open
-//! an [`Attachment`]. Neither has a network in it: each starts `panoscope-machine`, which knows zenoh and certificates, and exchanges [`tunnel`]
-//! frames with it over a socket. What the frames carry are the messages of [`message`].
+//! `panoscope run GRAPH --attachable ADDRESS` makes a graph [`Attachable`]. `panoscope edit --attach NAME` and
+//! `panoscope theatre --attach NAME` open an [`Attachment`]. Neither uses the network itself: each starts
+//! `panoscope-machine`, which knows zenoh and certificates, and exchanges [`tunnel`] frames with it over a socket. The
+//! frames carry the messages of [`message`].
 //!
-//! Packets cross as the engine has them, thinned to the size at which they are shown, and the window renders them as it renders those of its own
-//! engine. An output whose last packets the window has not taken yet sends none, so a slow network shows fewer pictures and no old ones.
+//! Packets cross as the engine has them, reduced to the size at which they are shown, and the window renders them as it
+//! renders those of a local engine. An output whose last packets the window has not taken yet sends none, so a slow
+//! network shows fewer images and no old ones.
 //!
-//! A window reads. It edits where the running side allows its machine to (`--allow-edit`), within [`rules`]: it never sets or releases an
-//! emergency stop, and names no new folder of plugins.
+//! A window reads. It edits where the running side allows its machine to (`--allow-edit`), within [`rules`]: it never
+//! sets or releases an emergency stop, and names no new folder of plugins.
 
 pub mod message;
 mod packet;

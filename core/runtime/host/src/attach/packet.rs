@@ -1,34 +1,34 @@
-//! Packets of outputs on their way to a window: thinned to the size at which they are shown, compressed with LZ4.
+//! Packets of outputs on their way to a window: reduced to the size at which they are shown, compressed with LZ4.
 
 use panoscope_abi::{FORMAT_BGR8, FORMAT_GRAY8, FORMAT_RGBA8, Frame, Tick};
 use panoscope_base::format;
 use panoscope_engine::memory::{FrameRef, memory};
 use serde::{Deserialize, Serialize};
 
-/// Longest packet; a larger picture is thinned further.
+/// Maximum length of a packet, bytes; a larger image is reduced further.
 const MAX_BYTES: usize = 48 << 20;
-/// Longest head of a packet.
+/// Maximum length of a packet's head, bytes.
 const MAX_HEAD_BYTES: usize = 64 << 10;
 /// Packets below this size are not compressed.
 const MIN_COMPRESSED_BYTES: usize = 1 << 10;
 
-/// Why a packet is refused.
+/// A packet that is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum PacketError {
     /// Its head does not fit its bytes.
     #[error("a packet of another machine is damaged; install the same version on both")]
     Damaged,
-    /// There is no memory for it.
-    #[error("there is no memory for a packet of {len} bytes: {words}")]
+    /// No memory for it.
+    #[error("a packet of {len} bytes does not fit into memory: {words}")]
     Memory {
         /// Its length.
         len: usize,
-        /// The memory's words.
+        /// The error of the frame memory.
         words: String,
     },
 }
 
-/// What stands before the bytes of a packet.
+/// Header of a packet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Head {
     node: String,
@@ -36,16 +36,16 @@ struct Head {
     format: u32,
     width: u32,
     height: u32,
-    /// Length of the packet's bytes when they are not compressed.
+    /// Uncompressed length of the packet in bytes.
     len: u64,
     is_compressed: bool,
-    /// Width and height before it was thinned, px.
+    /// Width and height before the reduction, px.
     size_px: (u32, u32),
     /// Source, flags, number and capture time of its tick.
     tick: (u32, u32, u64, i64),
     /// Age of its light when the head was made, ns.
     age_ns: Option<i64>,
-    /// When that was, ns of the sender's monotonic clock.
+    /// Time when the head was made, ns of the sender's monotonic clock.
     made_ns: i64,
 }
 
@@ -56,7 +56,8 @@ pub struct Outgoing {
 }
 
 impl Outgoing {
-    /// The packet `frame` of an output for a window that shows it at most `max_width` px wide. `None` for one that is damaged or too long.
+    /// The packet `frame` of an output for a window that shows it at most `max_width` px wide. `None` for one that is
+    /// damaged or too long.
     pub fn of(
         output: (&str, &str),
         frame: &FrameRef,
@@ -93,7 +94,8 @@ impl Outgoing {
     }
 }
 
-/// The bytes of a packet, its rows without gaps, at most `max_width` px wide; its width and height.
+/// Reduces a packet to at most `max_width` px in width. Returns its bytes without padding between rows, its width and
+/// height.
 fn thinned(frame: &Frame, bytes: &[u8], max_width: usize) -> Option<(Vec<u8>, usize, usize)> {
     let pixel = format::pixel_bytes(frame.format);
     let (columns, rows, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
@@ -139,18 +141,18 @@ pub struct Packet {
     pub node: String,
     /// Its output.
     pub port: String,
-    /// The packet as this process holds it.
+    /// The packet in this process's memory.
     pub frame: FrameRef,
-    /// Width and height before it was thinned, px.
+    /// Width and height before the reduction, px.
     pub size_px: (usize, usize),
     /// Age of its light at `made_ns`, ns; `None` where it is not known.
     pub age_ns: Option<i64>,
-    /// When the message was made, ns of the other machine's monotonic clock.
+    /// Time when the message was made, ns of the other machine's monotonic clock.
     pub made_ns: i64,
 }
 
 impl Packet {
-    /// Reads what [`Outgoing::write`] wrote.
+    /// Decodes a packet of [`Outgoing::write`].
     ///
     /// # Errors
     /// It is damaged, or there is no memory for it.

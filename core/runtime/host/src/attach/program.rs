@@ -12,7 +12,7 @@ use panoscope_graph::Listener;
 /// Environment variable that names the folder with the keys of this machine.
 pub const KEYS_VARIABLE: &str = "PANOSCOPE_KEYS";
 
-/// What this crate can listen on, off by default.
+/// Ways of listening, off by default.
 pub const LISTENERS: &[Listener] = &[Listener {
     option: "run --attachable ADDRESS",
     what: "zenoh, windows of other machines",
@@ -20,7 +20,7 @@ pub const LISTENERS: &[Listener] = &[Listener {
     access: "machines of --allow-read and --allow-edit read outputs and parameters; those of --allow-edit change the graph",
 }];
 
-/// The file of the program, beside this one; test programs lie in a folder below.
+/// The file of the program, next to this one; test programs are in a folder below.
 fn file() -> io::Result<PathBuf> {
     let me = panoscope_base::program::file();
     let beside = me.as_ref().map(|me| me.with_file_name(MACHINE_PROGRAM));
@@ -33,7 +33,7 @@ fn file() -> io::Result<PathBuf> {
     })
 }
 
-/// Starts it with a socket as its standard input, and with the keys in a folder.
+/// Starts the program with a socket as its standard input, and with the keys in a folder.
 pub fn start(arguments: &[String], keys: Option<&Path>) -> io::Result<(Child, UnixStream)> {
     let (ours, theirs) = UnixStream::pair()?;
     let mut command = Command::new(file()?);
@@ -44,7 +44,7 @@ pub fn start(arguments: &[String], keys: Option<&Path>) -> io::Result<(Child, Un
     Ok((command.spawn()?, ours))
 }
 
-/// The last line that a process wrote to its standard error.
+/// The last line of a process's standard error.
 pub fn last_words(child: &mut Child) -> Option<String> {
     let mut text = String::new();
     // The process has ended, or is about to; what it wrote is short.

@@ -1,4 +1,5 @@
-//! Frames that wait for a reader which may be slow or never read: of a state only the newest waits, and the rest has a limit.
+//! Frames that wait for a reader that may be slow or stuck: of each state only the newest waits, and the queue has a
+//! limit.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex};
@@ -8,13 +9,13 @@ use panoscope_engine::sync::lock;
 use crate::attach::message;
 use crate::attach::tunnel::Frame;
 
-/// Maximum number of frames that wait, and most bytes of all of them. A reader that is behind by more is gone.
+/// Maximum number of frames that wait. A reader that is further behind counts as gone.
 const MAX_FRAMES: usize = 4096;
 const MAX_BYTES: usize = 128 << 20;
 
-/// The reader takes less than it is sent.
+/// The queue is full: the reader is too slow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("it does not read what it is sent: {frames} messages with {bytes} bytes wait")]
+#[error("it does not read its messages: {frames} with {bytes} bytes wait")]
 pub struct Full {
     /// Frames that wait.
     pub frames: usize,
@@ -37,8 +38,8 @@ pub struct Queue {
 }
 
 impl Queue {
-    /// Adds a frame. A state, such as the counters of all nodes, takes the place of the same state that still waits. A closed queue takes
-    /// nothing.
+    /// Adds a frame. A state, such as the counters of all nodes, replaces the same state if it still waits. A closed
+    /// queue accepts nothing.
     ///
     /// # Errors
     /// The reader is too far behind; the frame is not added.
@@ -83,7 +84,7 @@ impl Queue {
         }
     }
 
-    /// Ends the queue: what waits is still read.
+    /// Closes the queue; frames that wait are still read.
     pub fn close(&self) {
         lock(&self.waiting).is_closed = true;
         self.changed.notify_all();

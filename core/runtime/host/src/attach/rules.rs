@@ -1,13 +1,13 @@
-//! What an edit of a window may not change, whoever may edit.
+//! Parts of a graph that an edit from a window must not change, whatever its rights.
 
 use std::collections::BTreeMap;
 
-/// Parameters that stop an arm and release it: both are set where the graph runs, and nowhere else.
+/// Parameters that stop an arm and release it: both are set only where the graph runs.
 pub const STOPS: [&str; 2] = ["emergency_stop", "reset"];
-/// Keys of a graph file that name code and machines, and what code may do.
+/// Keys of a graph file that name code or machines, or permissions of code.
 const CODE: [&str; 4] = ["plugin_paths", "isolate", "deny", "machines"];
 
-/// Why an edit is refused.
+/// A refused edit.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RuleError {
     /// It is not TOML.
@@ -15,7 +15,7 @@ pub enum RuleError {
     Toml(String),
     /// It sets or releases an emergency stop.
     #[error(
-        "`{node}.{param}` is set only at the machine that runs the graph: a window elsewhere neither stops an arm nor releases it"
+        "`{node}.{param}` can be set only at the machine that runs the graph: other windows cannot stop or release an arm"
     )]
     Stop {
         /// The node.
@@ -24,9 +24,9 @@ pub enum RuleError {
         param: String,
     },
     /// It names code to load, or machines.
-    #[error("`{0}` is changed only at the machine that runs the graph")]
+    #[error("`{0}` can be changed only at the machine that runs the graph")]
     Code(&'static str),
-    /// It refers to other files, whose values these rules do not see.
+    /// It refers to other files, whose values are not checked by these rules.
     #[error("an edit by a window has no parts and arguments: write their nodes and values into the graph")]
     OtherFiles,
 }
@@ -35,7 +35,7 @@ fn table(text: &str) -> Result<toml::Table, RuleError> {
     text.parse::<toml::Table>().map_err(|error| RuleError::Toml(error.message().to_owned()))
 }
 
-/// The stops of each node, with their values where the text has them.
+/// The stop parameters of each node and their values in the text.
 fn stops(graph: &toml::Table) -> BTreeMap<String, [Option<toml::Value>; 2]> {
     let nodes = graph.get("nodes").and_then(toml::Value::as_table);
     let of = |node: &toml::Value| STOPS.map(|param| node.get("params").and_then(|params| params.get(param)).cloned());
@@ -45,7 +45,7 @@ fn stops(graph: &toml::Table) -> BTreeMap<String, [Option<toml::Value>; 2]> {
 /// Checks what an edit changes in the running graph: `old` is its text, `new` the edited one.
 ///
 /// # Errors
-/// It changes what no window may.
+/// It changes something that no window may change.
 pub fn check(old: &str, new: &str) -> Result<(), RuleError> {
     let (old, new) = (table(old)?, table(new)?);
     let mut nodes = new.get("nodes").and_then(toml::Value::as_table).into_iter().flat_map(toml::Table::values);

@@ -1,4 +1,4 @@
-//! The running side: listens for windows, and gives them what they ask for. Nothing here waits for a window.
+//! The running side: listens for windows and serves their requests. Nothing here waits for a window.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::BufReader;
@@ -26,31 +26,31 @@ use crate::attach::queue::Queue;
 use crate::attach::tunnel::{self, Frame, Kind};
 use crate::attach::{program, rules};
 
-/// Packets of one output that are on their way to a window at most.
+/// Maximum number of unacknowledged packets of one output.
 const MAX_UNDERWAY: u32 = 2;
-/// Between two looks at previews.
+/// Time between two polls of the previews.
 const STEP: Duration = Duration::from_millis(10);
-/// Without a window.
+/// Time between two polls while no window is attached.
 const IDLE: Duration = Duration::from_millis(100);
-/// Between two readings of counters and values.
+/// Time between two readings of counters and values.
 const READ_EVERY: Duration = Duration::from_millis(500);
-/// Until the program that listens is started again.
+/// Time until the listening program is restarted.
 const START_AGAIN: Duration = Duration::from_secs(1);
-/// Faults that a window gets.
+/// Maximum number of faults sent to a window.
 const MAX_FAULTS: usize = 200;
-/// Edits that wait; a window that sends more is refused.
+/// Maximum number of waiting edits; further ones are refused.
 const MAX_EDITS: usize = 16;
 
-/// How a graph is to be attachable.
+/// Settings for windows that attach to a graph.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Where to listen: `tls/IP:PORT`, or `tcp/127.0.0.1:PORT` inside one machine.
+    /// Address to listen on: `tls/IP:PORT`, or `tcp/127.0.0.1:PORT` inside one machine.
     pub address: String,
-    /// Name of this machine for windows; the one of its keys where it is not given.
+    /// Name of this machine for windows; default: the name in its keys.
     pub name: Option<String>,
-    /// Folder with the keys of this machine; `PANOSCOPE_KEYS` where it is not given.
+    /// Folder with the keys of this machine; default: `PANOSCOPE_KEYS`.
     pub keys: Option<PathBuf>,
-    /// Whether an address without encryption may be one that other machines reach.
+    /// Whether an address without encryption may be reachable from other machines.
     pub plaintext: bool,
     /// Machines whose windows may read, by the names in their certificates.
     pub readers: Vec<String>,
@@ -58,41 +58,41 @@ pub struct Options {
     pub editors: Vec<String>,
 }
 
-/// Why windows cannot attach.
+/// Windows cannot attach.
 #[derive(Debug, thiserror::Error)]
 pub enum AttachError {
-    /// The program that listens does not start.
+    /// The listening program does not start.
     #[error("windows cannot attach: {0}")]
     Start(#[from] std::io::Error),
-    /// It does not listen.
+    /// The listening program cannot listen.
     #[error("windows cannot attach at {address}: {words}")]
     Listen {
-        /// The address.
+        /// The address to listen on.
         address: String,
-        /// Why.
+        /// Reason that the program reported.
         words: String,
     },
 }
 
-/// An output of which a window gets packets.
+/// An output whose packets a window receives.
 struct Feed {
     wanted: Wanted,
     preview: Preview,
     underway: u32,
-    /// When the last packet was sent.
+    /// Time when the last packet was sent.
     at: Option<Instant>,
 }
 
-/// A window.
+/// An attached window.
 struct Session {
     host: String,
     may_edit: bool,
     wanted: Vec<Wanted>,
     interval: Duration,
     feeds: Vec<Feed>,
-    /// It does not have the graph as it is.
+    /// Whether it has to be sent the current graph.
     lacks_graph: bool,
-    /// It does not have the counters and values as they are.
+    /// Whether it has to be sent the current counters and values.
     lacks_counters: bool,
 }
 
@@ -107,7 +107,7 @@ struct Edit {
 struct State {
     sessions: HashMap<u32, Session>,
     edits: Vec<Edit>,
-    /// What came and went, for the log.
+    /// Lines for the log about windows that came and went.
     lines: Vec<String>,
     ended_previews: Vec<String>,
 }
@@ -115,16 +115,16 @@ struct State {
 struct Shared {
     options: Options,
     state: Mutex<State>,
-    /// What goes to the program that listens.
+    /// Frames for the listening program.
     out: Mutex<Arc<Queue>>,
     ends: AtomicBool,
-    /// The program that listens reads nothing any more.
+    /// Whether the listening program stopped reading.
     is_stuck: AtomicBool,
-    /// The socket of the program that listens, to end it.
+    /// Socket of the listening program, used to end it.
     socket: Mutex<Option<UnixStream>>,
 }
 
-/// What the thread of the run knows.
+/// State of the run's thread.
 struct Known {
     text: String,
     changed_by: String,
@@ -142,7 +142,7 @@ pub struct Attachable {
     name: String,
 }
 
-/// Starts the program that listens, and waits until it does. Returns the name of this machine too.
+/// Starts the listening program and waits until it listens. Also returns the name of this machine.
 fn start(options: &Options) -> Result<(Child, UnixStream, String), AttachError> {
     let keys = options.keys.as_ref().map_or_else(String::new, |keys| keys.display().to_string());
     let name = options.name.clone().unwrap_or_default();
@@ -166,10 +166,10 @@ fn start(options: &Options) -> Result<(Child, UnixStream, String), AttachError> 
 }
 
 impl Attachable {
-    /// Listens from now on.
+    /// Starts to listen.
     ///
     /// # Errors
-    /// The address cannot be listened on, or keys are missing.
+    /// The address cannot be used, or keys are missing.
     pub fn start(options: Options) -> Result<Self, AttachError> {
         let (child, socket, name) = start(&options)?;
         let shared = Arc::new(Shared {
@@ -199,8 +199,8 @@ impl Attachable {
         &self.name
     }
 
-    /// Applies what windows have changed, and sends what has changed. Call it about ten times a second, on the thread that changes the graph. Returns
-    /// lines for the log.
+    /// Applies edits of windows and sends changes to them. Call it about ten times a second, on the thread that changes
+    /// the graph. Returns lines for the log.
     pub fn update<E: Deref<Target = Engine>>(&self, live: &mut Live<E>) -> Vec<String> {
         let mut known = lock(&self.known);
         let known = &mut *known;
@@ -216,7 +216,7 @@ impl Attachable {
         lines
     }
 
-    /// Applies the edits that came, one after the other.
+    /// Applies the received edits in order.
     fn apply<E: Deref<Target = Engine>>(&self, live: &mut Live<E>, known: &mut Known) -> Vec<String> {
         let edits = std::mem::take(&mut lock(&self.shared.state).edits);
         let mut lines = Vec::new();
@@ -260,7 +260,7 @@ impl Attachable {
         }
     }
 
-    /// Reads counters, faults and values now and then, and sends those that have changed.
+    /// Reads counters, faults and values at intervals and sends those that changed.
     fn read(&self, engine: &Engine, known: &mut Known) {
         let now = Instant::now();
         let is_empty = lock(&self.shared.state).sessions.is_empty();
@@ -289,7 +289,7 @@ impl Attachable {
         }
     }
 
-    /// Makes the previews those that windows want.
+    /// Updates the previews to those that windows request.
     fn subscribe(&self, engine: &Engine) {
         let mut state = lock(&self.shared.state);
         let mut ended = std::mem::take(&mut state.ended_previews);
@@ -314,7 +314,8 @@ impl Attachable {
         ended.iter().for_each(|node| engine.end_previews(node));
     }
 
-    /// Sends packets to windows until [`Self::finish`]; on a thread of its own, so that a change of the graph delays none.
+    /// Sends packets to windows until [`Self::finish`]; on a separate thread, so that a change of the graph does not
+    /// delay packets.
     pub fn send_packets(&self, engine: &Engine) {
         let mut taken = Vec::new();
         while !self.shared.ends.load(Ordering::Acquire) {
@@ -364,17 +365,17 @@ impl Drop for Attachable {
     }
 }
 
-/// Why a window that only reads changes nothing.
+/// Refuses an edit of a window that may only read.
 fn only_reads(host: &str) -> Refused {
     let words = format!("windows on `{host}` only read: it is not among the machines of --allow-edit");
     Refused { node: None, words }
 }
 
-/// Changes the running graph; or why not.
+/// Changes the running graph, or says why not.
 fn change<E: Deref<Target = Engine>>(live: &mut Live<E>, base: &str, text: &str) -> Result<String, Refused> {
     let plain = |words: String| Refused { node: None, words };
     if base != live.text() {
-        return Err(plain("the graph was changed elsewhere meanwhile; look at it and change it again".to_owned()));
+        return Err(plain("the graph was changed elsewhere meanwhile; review it and change it again".to_owned()));
     }
     rules::check(live.text(), text).map_err(|error| plain(error.to_string()))?;
     live.apply_text(text).map(|applied| applied.to_string()).map_err(|error| {
@@ -407,7 +408,7 @@ impl Shared {
         self.put(Frame { kind: Kind::Data, session, bytes: message::write_message(message) });
     }
 
-    /// Keeps the program that listens running.
+    /// Restarts the listening program whenever it ends.
     fn listen(self: &Arc<Self>, child: Child, socket: UnixStream) {
         let mut running = Some((child, socket));
         while !self.ends.load(Ordering::Acquire) {
@@ -433,7 +434,7 @@ impl Shared {
         }
     }
 
-    /// Takes frames until the program that listens is gone.
+    /// Receives frames until the listening program ends.
     fn serve(self: &Arc<Self>, socket: UnixStream) {
         let (Ok(to), Ok(from)) = (socket.try_clone(), socket.try_clone()) else { return };
         *lock(&self.socket) = Some(socket);
@@ -513,7 +514,7 @@ impl Shared {
     }
 }
 
-/// Writes frames until their queue is closed or the socket is gone.
+/// Writes frames until their queue or the socket is closed.
 fn write(mut to: UnixStream, frames: &Queue) {
     while let Some(frame) = frames.pop() {
         if tunnel::send(&mut to, &frame).is_err() {

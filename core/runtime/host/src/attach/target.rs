@@ -8,25 +8,25 @@ use serde::Deserialize;
 /// A machine whose running graph a window shows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Target {
-    /// Its name, as its `--attachable` side has it.
+    /// Its name, as given on its `--attachable` side.
     pub name: String,
     /// `tls/HOST:PORT`, or `tcp/127.0.0.1:PORT`.
     pub address: String,
-    /// The connection counts as lost when nothing was heard for this long, ms.
+    /// Silence after which the connection counts as lost, ms.
     pub timeout_ms: u32,
     /// Whether an address without encryption may lead to another machine.
     pub plaintext: bool,
-    /// Folder with the keys of this machine; `PANOSCOPE_KEYS` where it is not given.
+    /// Folder with the keys of this machine; default: `PANOSCOPE_KEYS`.
     pub keys: Option<PathBuf>,
 }
 
-/// Why there is no such machine.
+/// A machine that cannot be attached to.
 #[derive(Debug, thiserror::Error)]
 pub enum TargetError {
-    /// A name that cannot be one.
+    /// Not a valid name.
     #[error("`{0}` cannot name a machine: write NAME@ADDRESS as in rack@tls/10.0.0.2:7448, or a NAME of machines.toml")]
     Name(String),
-    /// It has no address.
+    /// The machine has no address.
     #[error("machine `{name}` has no address: write {name}@tls/HOST:PORT, or [machines.{name}] with `address` into {file}", file = file.display())]
     Unknown {
         /// The machine.
@@ -34,12 +34,12 @@ pub enum TargetError {
         /// The file that was looked into.
         file: PathBuf,
     },
-    /// The file is damaged.
+    /// The file is malformed.
     #[error("{file}: {words}", file = file.display())]
     File {
         /// The file.
         file: PathBuf,
-        /// What is wrong.
+        /// Description of the problem.
         words: String,
     },
 }

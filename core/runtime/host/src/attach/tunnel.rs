@@ -1,26 +1,29 @@
-//! Frames between a program and the `panoscope-machine` that it started: length (32 bits, little-endian), kind, session, bytes.
+//! Frames between a program and the `panoscope-machine` that it started: length (32 bits, little-endian), kind,
+//! session, bytes.
 
 use std::io::{self, Read, Write};
 
-/// First argument of `panoscope-machine` that makes it listen for windows: `attachable NAME ADDRESS KEYS PLAINTEXT HOST...`.
+/// First argument of `panoscope-machine` that makes it listen for windows: `attachable NAME ADDRESS KEYS PLAINTEXT
+/// HOST...`.
 pub const ATTACHABLE: &str = "attachable";
 /// First argument of `panoscope-machine` that makes it connect a window: `attach ADDRESS TIMEOUT_MS PLAINTEXT NAME`.
 pub const ATTACH: &str = "attach";
-/// Longest content of a frame.
+/// Maximum length of a frame's content, bytes.
 pub const MAX_BYTES: usize = 64 << 20;
-/// Bytes of a frame before its content, without its length.
+/// Bytes between the length and the content of a frame.
 const HEAD: usize = 5;
 
-/// What a frame is.
+/// Kind of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// From `panoscope-machine`: it listens, or is connected. The content is the name of this side, for a window that of the running side.
+    /// From `panoscope-machine`: it listens or is connected. The content is the name of this machine; for a window,
+    /// that of the running side.
     Ready,
-    /// From `panoscope-machine`: a window has come. The content is the name of its machine.
+    /// From `panoscope-machine`: a window connected. The content is the name of its machine.
     Open,
     /// A message, either way.
     Data,
-    /// A window is gone, or is to go. The content says why.
+    /// A window closed or must close. The content is the reason.
     Close,
     /// From `panoscope-machine` to a window: the clocks, see [`ClockFrame`].
     Clock,
@@ -49,10 +52,10 @@ impl Kind {
     }
 }
 
-/// A frame.
+/// A frame of the tunnel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
-    /// What it is.
+    /// Kind of the item.
     pub kind: Kind,
     /// The window that it belongs to; 0 on the window's side.
     pub session: u32,
@@ -61,7 +64,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame with a text.
+    /// A frame whose content is a text.
     pub fn words(kind: Kind, session: u32, words: &str) -> Self {
         Self { kind, session, bytes: words.as_bytes().to_vec() }
     }
@@ -77,20 +80,20 @@ impl Frame {
 pub struct ClockFrame {
     /// The other machine's monotonic clock minus this one's, ns.
     pub offset_ns: i64,
-    /// Largest error of that, ns.
+    /// Maximum error of the offset, ns.
     pub error_ns: u64,
-    /// Time there and back of the last probe, ns.
+    /// Round-trip time of the last probe, ns.
     pub round_trip_ns: u64,
 }
 
 impl ClockFrame {
-    /// As the content of a frame.
+    /// Encodes the content of a frame.
     pub fn bytes(self) -> Vec<u8> {
         let parts = [self.offset_ns.to_le_bytes(), self.error_ns.to_le_bytes(), self.round_trip_ns.to_le_bytes()];
         parts.concat()
     }
 
-    /// From the content of a frame; `None` where it has another length.
+    /// Decodes the content of a frame; `None` if it has another length.
     pub fn read(bytes: &[u8]) -> Option<Self> {
         let (offset, rest) = bytes.split_first_chunk::<8>()?;
         let (error, rest) = rest.split_first_chunk::<8>()?;
@@ -106,7 +109,7 @@ impl ClockFrame {
 /// Writes a frame.
 ///
 /// # Errors
-/// The other side is gone, or the content is too long.
+/// The connection is closed, or the content is too long.
 pub fn send(to: &mut impl Write, frame: &Frame) -> io::Result<()> {
     if frame.bytes.len() > MAX_BYTES {
         return Err(io::Error::other("the message is too long"));

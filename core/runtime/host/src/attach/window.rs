@@ -1,4 +1,5 @@
-//! The window's side: keeps a connection to a running graph of another machine, and what came from there last. No function waits.
+//! The window's side: keeps a connection to a running graph of another machine, and the newest data from it. No
+//! function waits unless it says so.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, BufReader};
@@ -21,58 +22,58 @@ use crate::attach::program;
 use crate::attach::target::Target;
 use crate::attach::tunnel::{self, ClockFrame, Frame, Kind};
 
-/// Until the next attempt to connect.
+/// Time until the next attempt to connect.
 const AGAIN: Duration = Duration::from_millis(200);
-/// How long a change may take.
+/// Maximum time of a change.
 const MAX_CHANGE: Duration = Duration::from_secs(60);
 
-/// Whether the machine is reached.
+/// State of the connection to the machine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Contact {
-    /// It was never reached so far; with the reason of the last attempt.
+    /// Not connected yet; the last attempt failed for this reason.
     #[default]
     None,
-    /// It is connected.
+    /// Connected.
     Attached,
-    /// The connection was lost, and why. It is tried again all the time.
+    /// The connection was lost for this reason; attempts to reconnect go on.
     Lost(String),
-    /// The run there is over, in the words of the machine.
+    /// The run has ended there, with the machine's reason.
     Ended(String),
 }
 
-/// The clock of the machine, measured all the time.
+/// The clock of the machine, measured continuously.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Clock {
     /// Its monotonic clock minus this machine's, ns.
     pub offset_ns: i64,
-    /// Largest error of that, ns.
+    /// Maximum error of the offset, ns.
     pub error_ns: u64,
-    /// Time there and back, ns.
+    /// Round-trip time, ns.
     pub round_trip_ns: u64,
 }
 
-/// What is known of the machine and its graph.
+/// State of the connection and of its graph.
 #[derive(Clone, Debug, Default)]
 pub struct State {
-    /// Whether the machine is reached.
+    /// Whether there is a connection.
     pub contact: Contact,
-    /// Why it was not reached last; empty while it is.
+    /// Reason of the last failed attempt; empty while connected.
     pub problem: String,
-    /// Name of this machine there.
+    /// Name under which the other machine knows this one.
     pub here: String,
-    /// How often the connection was lost.
+    /// Number of lost connections.
     pub losses: u64,
-    /// Since when the contact is as it is.
+    /// Time of the last change of `contact`.
     pub since: Option<Instant>,
-    /// The graph as it runs; `None` before the first contact.
+    /// The running graph; `None` before the first contact.
     pub opened: Option<Arc<Opened>>,
     /// Incremented with each `opened`.
     pub revision: u64,
-    /// The clock there; `None` before the first measurement of a connection.
+    /// The machine's clock; `None` before the first measurement of a connection.
     pub clock: Option<Clock>,
 }
 
-/// What became of an edit.
+/// Result of an edit: a description of the change, or the refusal.
 pub type Edit = Result<String, Refused>;
 
 /// Called when something has changed.
@@ -90,7 +91,7 @@ struct Inner {
     interval_ms: u64,
     answers: HashMap<u64, Edit>,
     next_id: u64,
-    /// To the program that carries frames, while it is connected.
+    /// Frames for the connecting program, while it runs.
     out: Option<Sender<Frame>>,
     socket: Option<UnixStream>,
     ends: bool,
@@ -103,13 +104,13 @@ struct Shared {
     wake: Mutex<Option<Arc<Wake>>>,
 }
 
-/// A connection to a running graph of another machine. It is made again whenever it is lost, until this is dropped.
+/// A connection to a running graph of another machine. It reconnects whenever it is lost, until this is dropped.
 pub struct Attachment {
     shared: Arc<Shared>,
 }
 
 impl Attachment {
-    /// Connects from now on.
+    /// Starts to connect.
     ///
     /// # Errors
     /// A thread cannot be started.
@@ -132,19 +133,19 @@ impl Attachment {
         &self.shared.target
     }
 
-    /// What is known of the machine and its graph.
+    /// State of the connection and of its graph.
     pub fn state(&self) -> State {
         lock(&self.shared.inner).state.clone()
     }
 
-    /// Waits until a graph is known, at most so long. Returns whether it is.
+    /// Waits up to `most` for the first graph. Returns whether there is one.
     pub fn wait_opened(&self, most: Duration) -> bool {
         let inner = lock(&self.shared.inner);
         let waited = self.shared.changed.wait_timeout_while(inner, most, |inner| inner.state.opened.is_none());
         waited.unwrap_or_else(PoisonError::into_inner).0.state.opened.is_some()
     }
 
-    /// What each node did lately.
+    /// Counters and times of each node.
     pub fn nodes(&self) -> Arc<BTreeMap<String, NodeWindow>> {
         Arc::clone(&lock(&self.shared.inner).nodes)
     }
@@ -154,12 +155,12 @@ impl Attachment {
         Arc::clone(&lock(&self.shared.inner).faults)
     }
 
-    /// Values of a node's parameters; `None` while they are not known.
+    /// Values of a node's parameters; `None` while they are unknown.
     pub fn values(&self, node: &str) -> Option<Vec<ParamValue>> {
         lock(&self.shared.inner).values.get(node).cloned()
     }
 
-    /// Sets which outputs send packets, and the minimum time between two of one.
+    /// Sets which outputs send packets, and the minimum time between two packets of an output.
     pub fn request_packets(&self, mut wanted: Vec<Wanted>, interval: Duration) {
         wanted.sort();
         wanted.truncate(message::MAX_OUTPUTS);
@@ -172,7 +173,8 @@ impl Attachment {
         }
     }
 
-    /// The newest packet of an output since the last call, and when its light arrived at latest, ns of this process's clock.
+    /// The newest packet of an output since the last call, and the latest possible arrival of its light, ns of this
+    /// process's clock.
     pub fn take_packet(&self, node: &str, port: &str) -> Option<(Packet, Option<i64>)> {
         let mut inner = lock(&self.shared.inner);
         let taken = inner.packets.remove(&(node.to_owned(), port.to_owned()))?;
@@ -180,7 +182,8 @@ impl Attachment {
         Some(taken)
     }
 
-    /// Makes the running graph the one of `text`, which was edited from `base`; waits for the answer. `goes_on` is asked now and then whether to.
+    /// Replaces the running graph by the one in `text`, which was edited from `base`, and waits for the answer as long
+    /// as `goes_on`, which is polled, returns `true`.
     pub fn run(&self, base: &str, text: &str, goes_on: impl Fn() -> bool) -> Edit {
         let lost = |words: &str| Err(Refused { node: None, words: words.to_owned() });
         let mut inner = lock(&self.shared.inner);
@@ -232,7 +235,7 @@ impl Inner {
     }
 }
 
-/// Why the connection to a machine ends.
+/// End of a connection to a machine.
 #[derive(Debug, thiserror::Error)]
 enum LinkEnd {
     /// A measurement of the clock is malformed.
@@ -241,7 +244,7 @@ enum LinkEnd {
     /// A message is malformed.
     #[error(transparent)]
     Message(#[from] BadMessage),
-    /// The program that holds the connection closed it.
+    /// The connecting program closed it.
     #[error("{words}")]
     Closed { words: String },
 }
@@ -257,7 +260,7 @@ impl Shared {
         result
     }
 
-    /// Keeps the connection.
+    /// Reconnects whenever the connection ends.
     fn keep(&self) {
         loop {
             let Target { address, timeout_ms, plaintext, name, keys } = &self.target;
@@ -288,7 +291,7 @@ impl Shared {
         }
     }
 
-    /// Takes frames until the connection ends; returns why it did.
+    /// Receives frames until the connection ends; returns the reason.
     fn connected(&self, mut child: Child, socket: UnixStream) -> String {
         let end = |child: &mut Child| {
             let words = program::last_words(child);
@@ -390,7 +393,7 @@ impl Inner {
     }
 }
 
-/// Writes frames until their sender or the socket is gone.
+/// Writes frames until their sender or the socket is closed.
 fn write(mut to: UnixStream, frames: &Receiver<Frame>) {
     while let Ok(frame) = frames.recv() {
         if tunnel::send(&mut to, &frame).is_err() {

@@ -1,4 +1,4 @@
-//! Writes events on a thread of its own, so that nobody waits for the disk.
+//! Writes events on a separate thread, so that no caller waits for the disk.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::audit::log::Log;
 const MAX_WAITING: usize = 4096;
 /// Time between two attempts to write them.
 const RETRY_INTERVAL: Duration = Duration::from_secs(2);
-/// How long the end of the program waits for the last events.
+/// Maximum wait for the last events at the end of the program.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Time now in ms since 1970.
@@ -22,7 +22,7 @@ fn now_ms() -> i64 {
     since.map_or(0, |since| i64::try_from(since.as_millis()).unwrap_or(i64::MAX))
 }
 
-/// Appends events to a log. An event that cannot be written is kept and tried again; [`Self::problem`] says why.
+/// Appends events to a log. An event that cannot be written is kept and retried; [`Self::problem`] says why.
 pub struct Auditor {
     events: Option<Sender<(i64, Event)>>,
     problem: Arc<Mutex<Option<String>>>,
@@ -48,7 +48,7 @@ impl Auditor {
         Ok(Self { events: Some(events), problem, done })
     }
 
-    /// Queues an event; its time is now.
+    /// Queues an event with the current time.
     pub fn log(&self, event: Event) {
         if let Some(events) = &self.events {
             // The thread ends only after this sender.
@@ -56,12 +56,12 @@ impl Auditor {
         }
     }
 
-    /// Why events cannot be written at the moment.
+    /// The reason why events cannot be written now.
     pub fn problem(&self) -> Option<String> {
         self.problem.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Writes what waits, as far as that is possible in a few seconds; later events are dropped.
+    /// Writes the waiting events as far as a few seconds allow; later events are dropped.
     pub fn close(&mut self) {
         if self.events.take().is_some() {
             let _ = self.done.recv_timeout(CLOSE_TIMEOUT);

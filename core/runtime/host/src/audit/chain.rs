@@ -1,11 +1,11 @@
-//! The lines of the log and how they hold on to each other.
+//! The lines of the log and the hashes that chain them.
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::audit::event::Event;
 
-/// What stands before a line's own hash.
+/// Text in front of a line's own hash.
 const HASH_FIELD: &str = ",\"hash\":\"";
 const HASH_LEN: usize = 64;
 
@@ -40,12 +40,12 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// The line after `end`.
+    /// The line that follows `end`.
     pub fn after(end: &End, unix_ms: i64, event: Event) -> Self {
         Self { number: end.number.saturating_add(1), unix_ms, before: end.hash.clone(), event }
     }
 
-    /// The text with its hash and a line feed, and the end of the chain that it makes.
+    /// The line's text with its hash and a line feed, and the new end of the chain.
     pub fn text(&self) -> Result<(String, End), serde_json::Error> {
         let body = serde_json::to_string(self)?;
         let hash = sha256(body.as_bytes());
@@ -53,7 +53,7 @@ impl Line {
         Ok((text, End { number: self.number, hash }))
     }
 
-    /// Reads a line without its line feed. `None` where it is damaged: no JSON of this form, or not what its hash was made of.
+    /// Parses a line without its line feed. `None` if it is damaged: not JSON of this form, or with a wrong hash.
     pub fn parse(text: &[u8]) -> Option<(Self, End)> {
         let text = std::str::from_utf8(text).ok()?;
         let at = text.len().checked_sub(HASH_FIELD.len() + HASH_LEN + 2)?;

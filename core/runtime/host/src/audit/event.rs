@@ -1,4 +1,4 @@
-//! What the log records.
+//! Events of the log.
 
 use std::fmt;
 
@@ -7,27 +7,27 @@ use serde::{Deserialize, Serialize};
 /// The lock under which a graph was opened.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LockFacts {
-    /// SHA-256 of what the lock says.
+    /// SHA-256 of the lock's content.
     pub sha256: String,
     /// Name of the key that signed it; `None` for a lock without signature.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub signed_by: Option<String>,
 }
 
-/// What became of a clip.
+/// State of a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipState {
-    /// It is being recorded.
+    /// Its recording began.
     Started,
-    /// It was ended by the user.
+    /// The user ended it.
     Ended,
     /// It could not be started, or ended early.
     Failed,
 }
 
-/// An event of the theatre, or of the log itself. No field holds what a user types: clips and stills are named by their numbers, faults by
-/// their causes.
+/// An event of the theatre, or of the log itself. No field holds what a user types: clips and stills are named by their
+/// numbers, faults by their causes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
@@ -39,22 +39,22 @@ pub enum Event {
         graph: String,
         /// SHA-256 of the text that runs, with parts, overlays and arguments.
         graph_sha256: String,
-        /// The lock that it was compared with and agrees with; `None` where there is none, or it differs.
+        /// The lock that it agrees with; `None` if there is none or it differs.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         lock: Option<LockFacts>,
     },
-    /// A protection was overridden by the user.
+    /// The user overrode a protection.
     Override {
-        /// How, such as `--unlocked`.
+        /// The option used, such as `--unlocked`.
         by: String,
-        /// What it overrode.
+        /// The protection that it overrode.
         reason: String,
     },
     /// The theatre did not open a graph.
     Refused {
         /// Name of the graph file.
         graph: String,
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// A setting was changed.
@@ -72,14 +72,14 @@ pub enum Event {
         node: String,
         /// The kind of the fault.
         cause: String,
-        /// What the program did about it.
+        /// The program's response.
         done: String,
     },
     /// A clip.
     Clip {
         /// Its number.
         number: u32,
-        /// What became of it.
+        /// State of the clip.
         state: ClipState,
     },
     /// A still was requested.
@@ -96,7 +96,7 @@ pub enum Event {
     CamerasOnly,
     /// The process that ran the graph ended; another one shows the cameras and starts the graph again.
     ProcessEnded {
-        /// How it ended.
+        /// Its end.
         cause: String,
     },
     /// The user started the whole graph again.
@@ -105,19 +105,19 @@ pub enum Event {
     Closed,
     /// Events could not be written, and there were too many to keep.
     Lost {
-        /// How many.
+        /// Number of lost events.
         count: u64,
     },
-    /// A crash cut a line off.
+    /// A crash truncated a line.
     Recovered {
-        /// Length of what is left of the line, bytes.
+        /// Length of the rest of the line, bytes.
         cut_bytes: u64,
-        /// SHA-256 of what is left of it.
+        /// SHA-256 of the rest of the line.
         cut_sha256: String,
     },
     /// The log was found damaged when it was continued.
     Damaged {
-        /// What is wrong.
+        /// Description of the damage.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-//! The files of a log, and the one with the end of its chain.
+//! The files of a log, and the head file with the end of its chain.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,12 +9,12 @@ use crate::audit::chain::End;
 
 /// File with the end of the chain.
 pub const HEAD: &str = "head.json";
-/// Whether this is the name of a file of a log, without a folder.
+/// Whether a file name, without a folder, is that of a file of a log.
 pub fn is_log(name: &str) -> bool {
     name.starts_with("audit-") && name.ends_with(".jsonl") && !name.contains('/')
 }
 
-/// The files of a log in their order.
+/// The files of a log in order.
 pub fn files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,
@@ -30,7 +30,7 @@ pub fn files(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The end of the chain as the head file has it.
+/// The end of the chain in the head file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Head {
     /// Number of the last line.
@@ -48,7 +48,7 @@ impl Head {
         End { number: self.number, hash: self.hash.clone() }
     }
 
-    /// The head of the log in `folder`; `None` where there is none, or it is damaged.
+    /// The head of the log in `folder`; `None` if it is missing or damaged.
     pub fn read(folder: &Path) -> Option<Self> {
         let head: Self = serde_json::from_slice(&fs::read(folder.join(HEAD)).ok()?).ok()?;
         // A name that leads elsewhere would make the log go on in a file of somebody else.

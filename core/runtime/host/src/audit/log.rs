@@ -14,7 +14,7 @@ use crate::audit::files::{self, HEAD, Head};
 /// File that is locked while a process appends.
 const LOCK: &str = "lock";
 
-/// Why an event was not written; what was written before is unharmed.
+/// An event that was not written; earlier ones are intact.
 #[derive(Debug, thiserror::Error)]
 pub enum AuditError {
     /// The disk is full.
@@ -59,7 +59,7 @@ struct Tail {
     /// Name and length of the file with the last line; an empty name where there is none.
     file: String,
     bytes: u64,
-    /// What has to be said before the next event.
+    /// An event to write before the next one.
     said_first: Option<Event>,
 }
 
@@ -69,10 +69,10 @@ impl Log {
         Self { folder: folder.to_owned() }
     }
 
-    /// Appends an event that happened at a time in ms since 1970, and returns once it is on the disk.
+    /// Appends an event that happened at a time in ms since 1970, and returns when it is on the disk.
     ///
     /// # Errors
-    /// See [`AuditError`]; a part of the line is removed again, and later calls may succeed.
+    /// See [`AuditError`]; a partly written line is removed, and later calls may succeed.
     pub fn append(&self, unix_ms: i64, event: Event) -> Result<(), AuditError> {
         let mut builder = fs::DirBuilder::new();
         builder.recursive(true).mode(0o700).create(&self.folder).map_err(in_file(&self.folder))?;
@@ -86,7 +86,7 @@ impl Log {
         self.write(&mut tail, unix_ms, event)
     }
 
-    /// Waits until no other process appends; ends with the returned file.
+    /// Waits until no other process appends. The lock ends when the returned file is dropped.
     fn lock(&self) -> Result<File, AuditError> {
         let path = self.folder.join(LOCK);
         let file = OpenOptions::new().create(true).truncate(false).write(true).mode(0o600).open(&path);

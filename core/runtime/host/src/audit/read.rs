@@ -16,12 +16,12 @@ pub struct Entry {
     pub number: u64,
     /// When it happened, in ms since 1970.
     pub unix_ms: i64,
-    /// What happened.
+    /// The event.
     pub event: Event,
 }
 
 impl fmt::Display for Entry {
-    /// One line: control characters of names and reasons, which somebody may have put into the log, are escaped.
+    /// Formats one line; control characters in names and reasons are escaped, because the log is untrusted.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let event: String = self
             .event
@@ -33,14 +33,14 @@ impl fmt::Display for Entry {
     }
 }
 
-/// A place where the chain is broken.
+/// A break of the chain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
     /// The file.
     pub file: PathBuf,
     /// Line in the file, from 1; 0 for the file as a whole.
     pub line: usize,
-    /// What is wrong.
+    /// Description of the damage.
     pub message: String,
 }
 
@@ -53,23 +53,24 @@ impl fmt::Display for Problem {
     }
 }
 
-/// What a log holds.
+/// Content of a log, with its damage.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Report {
-    /// All lines that are whole.
+    /// All intact lines.
     pub entries: Vec<Entry>,
-    /// Where the chain is broken; empty for a sound log.
+    /// Breaks of the chain; empty for an intact log.
     pub problems: Vec<Problem>,
-    /// Number and hash of the last line. Whoever keeps them elsewhere can later prove that the log up to here is unchanged.
+    /// Number and hash of the last line. A copy of them kept elsewhere proves later that the log up to here is
+    /// unchanged.
     pub last: Option<(u64, String)>,
 }
 
-/// Follows the chain from line to line.
+/// Checks the chain line by line.
 struct Checker {
     report: Report,
     /// The end so far; `None` before the first line of a file that is read alone.
     end: Option<End>,
-    /// What was left of a line that could not be read: file, line and bytes.
+    /// The rest of a line that could not be read: file, line and bytes.
     broken: Option<(PathBuf, usize, Vec<u8>)>,
 }
 
@@ -78,7 +79,7 @@ impl Checker {
         self.report.problems.push(Problem { file: file.to_owned(), line, message: message.into() });
     }
 
-    /// Reports a line that could not be read and that no later line explains.
+    /// Reports a line that could not be read and that no later line accounts for.
     fn give_up_broken(&mut self) {
         if let Some((file, line, _)) = self.broken.take() {
             self.problem(&file, line, "the line is damaged: it is not what its hash was made of");
@@ -137,8 +138,8 @@ impl Checker {
     }
 }
 
-/// Reads a log, a folder or one file of it, and checks that no line was changed, added or removed. Of one file alone, lines that are missing
-/// before its first or after its last cannot be noticed.
+/// Reads a log, a folder or one file of it, and checks that no line was changed, added or removed. In a single file,
+/// lines missing before the first or after the last cannot be detected.
 ///
 /// # Errors
 /// A file cannot be read.

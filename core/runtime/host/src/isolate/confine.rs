@@ -1,7 +1,8 @@
-//! What the process of a group may not do, and what the kernel offers for that.
+//! Confines the process of a group, as far as the kernel can.
 //!
-//! Two mechanisms that need no rights of their own and that a process cannot take back: a seccomp filter refuses system calls, Landlock refuses
-//! rights on files. Both hold for all threads that start later, so the process sets them before it starts one, and before it maps a plugin.
+//! Two mechanisms that need no privileges and that a process cannot undo: a seccomp filter refuses system calls,
+//! Landlock refuses rights on files. Both hold for all threads that start later, so the process sets them before it
+//! starts one, and before it maps a plugin.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -17,17 +18,17 @@ const LANDLOCK: ABI = ABI::V6;
 /// Folder of the devices, which may be written: cameras, graphics, `/dev/null`.
 const DEVICES: &str = "/dev";
 
-/// What the running kernel can refuse to a process.
+/// Mechanisms of the running kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Kernel {
-    /// Version of Landlock; `None` where the kernel has none, or has it switched off.
+    /// Version of Landlock; `None` if the kernel lacks it or it is off.
     pub landlock: Option<u32>,
-    /// Whether there are seccomp filters.
+    /// Whether seccomp filters are available.
     pub seccomp: bool,
 }
 
 impl Kernel {
-    /// What of `deny` nobody enforces here, in the words of a graph file.
+    /// Parts of `deny` that this kernel cannot enforce, as named in a graph file.
     pub fn lacks(&self, deny: Deny) -> Vec<&'static str> {
         let network = deny.network && !self.seccomp;
         let new_files = deny.new_files && self.landlock.is_none();
@@ -35,7 +36,7 @@ impl Kernel {
     }
 }
 
-/// What the running kernel offers.
+/// Asks the running kernel.
 pub fn kernel() -> Kernel {
     const VERSION_OF_LANDLOCK: libc::c_ulong = 1;
     // SAFETY: with this flag the call has no arguments and only returns the version.
@@ -51,10 +52,11 @@ pub fn kernel() -> Kernel {
     Kernel { landlock: u32::try_from(version).ok().filter(|version| *version > 0), seccomp: seccomp == 0 }
 }
 
-/// Locks this thread, and all that it starts, in. What the kernel does not have is left out; see [`Kernel::lacks`].
+/// Confines this thread and all threads that it starts. Mechanisms that the kernel lacks are skipped; see
+/// [`Kernel::lacks`].
 ///
 /// # Errors
-/// The kernel has it and refuses it all the same.
+/// The kernel has a mechanism but refuses it.
 pub(crate) fn confine(deny: Deny) -> io::Result<()> {
     let kernel = kernel();
     if deny.new_files && kernel.landlock.is_some() {
@@ -66,7 +68,8 @@ pub(crate) fn confine(deny: Deny) -> io::Result<()> {
     Ok(())
 }
 
-/// Refuses to make, write, shorten, move and remove files; and, where the kernel can, signals to processes outside.
+/// Denies creating, writing, truncating, moving and removing files and, where the kernel can, signals to processes
+/// outside.
 fn refuse_new_files() -> Result<(), landlock::RulesetError> {
     let writing = AccessFs::from_write(LANDLOCK);
     let existing = AccessFs::WriteFile | AccessFs::Truncate;
@@ -82,7 +85,7 @@ fn refuse_new_files() -> Result<(), landlock::RulesetError> {
     ruleset.restrict_self().map(|_| ())
 }
 
-/// Refuses sockets of every kind. A pair of connected sockets inside the process stays possible.
+/// Denies all sockets except a connected pair inside the process.
 fn refuse_network() -> Result<(), seccompiler::Error> {
     // An io_uring makes sockets without the system call.
     let refused = [libc::SYS_socket, libc::SYS_io_uring_setup];

@@ -1,6 +1,7 @@
-//! A plugin's node types as bytes: written in the process that ran its constructors, read in one that did not.
+//! A plugin's node types as bytes: written in the process that ran its constructors, read in one that does not load it.
 //!
-//! Functions do not cross. Where the plugin has an optional one, the copy has one that refuses, so that it is known to exist.
+//! Functions do not cross. For an optional function of the plugin, the copy has one that fails, so that its existence
+//! is known.
 
 use std::any::Any;
 use std::ffi::c_void;
@@ -14,7 +15,7 @@ const HAS_LOAD: u32 = 2;
 const HAS_VALIDATE: u32 = 4;
 const HAS_FINISH: u32 = 8;
 
-/// Fewest bytes of a port, of a parameter and of a node type.
+/// Minimum number of bytes of an encoded port.
 const PORT_BYTES: usize = 40;
 const PARAM_BYTES: usize = 88;
 const TYPE_BYTES: usize = 60;
@@ -76,14 +77,14 @@ unsafe fn write_param(param: &Param, out: &mut Writer<'_>) {
     }
 }
 
-/// Node types that were read, and the memory that they point to.
+/// Decoded node types and the memory that they point to.
 pub(crate) struct Described {
     pub node_types: Vec<NodeType>,
     memory: Memory,
 }
 
 impl Described {
-    /// From here on they live until the process ends, as those of a plugin do.
+    /// Leaks the node types, which then live until the process ends, as those of a plugin.
     pub fn into_static(self) -> Vec<NodeType> {
         std::mem::forget(self.memory);
         self.node_types
@@ -95,7 +96,7 @@ impl Described {
 struct Memory(Vec<Box<dyn Any>>);
 
 impl Memory {
-    /// Keeps some values; returns where they are and how many.
+    /// Keeps some values; returns their address and count.
     fn keep<T: 'static>(&mut self, values: Vec<T>) -> (*const T, usize) {
         let values = values.into_boxed_slice();
         let kept = (values.as_ptr(), values.len());
@@ -104,7 +105,7 @@ impl Memory {
     }
 }
 
-/// Reads node types. Nothing is checked but the lengths.
+/// Reads node types. Only the lengths are checked.
 pub(crate) fn read(bytes: &[u8]) -> Result<Described, BadMessage> {
     let (mut reader, mut memory) = (Reader(bytes), Memory::default());
     let node_types =

@@ -1,7 +1,7 @@
-//! A stretch of memory on which host and child take turns.
+//! Shared memory on which host and child take turns.
 //!
-//! One word says whose turn it is. The other side spins for a while if its last waits were short, then sleeps on the word as a futex. A side
-//! that sleeps marks the word, so that passing the turn to one that spins needs no system call.
+//! One word says whose turn it is. The other side spins for a while if its last waits were short, then sleeps on the
+//! word as a futex. A side that sleeps marks the word, so that passing the turn to one that spins needs no system call.
 
 use std::fs::File;
 use std::os::fd::{AsRawFd, FromRawFd};
@@ -22,18 +22,19 @@ const SLEEPS: u32 = 1 << 31;
 
 /// Size of a lane. Only what a message needs is ever touched.
 pub(crate) const LANE_BYTES: usize = 1 << 20;
-/// Where the message begins.
+/// Offset of the message.
 const HEAD_BYTES: usize = 64;
-/// Longest message.
+/// Maximum length of a message, bytes.
 pub(crate) const MAX_MESSAGE_BYTES: usize = LANE_BYTES - HEAD_BYTES;
 
-/// A side spins for its turn while its waits are usually shorter than this. Waking a thread that sleeps takes 15 to 40 us on an idle core.
+/// A side spins for its turn while its waits are usually shorter than this. Waking a thread that sleeps takes 15 to 40
+/// us on an idle core.
 const SHORT_WAIT_NS: u64 = 80_000;
-/// Longest spin.
+/// Maximum time of a spin.
 const MAX_SPIN_NS: u64 = 100_000;
-/// Looks at the word before the clock is read for the first time.
+/// Reads of the word before the clock is read for the first time.
 const FIRST_LOOKS: u32 = 256;
-/// Looks at the word between two offers of the core to other threads.
+/// Reads of the word between two yields to other threads.
 const LOOKS_PER_YIELD: u32 = 16;
 /// Waits beyond this count as this long, so that a pause is soon forgotten.
 const MAX_SAMPLE_NS: u64 = 1_000_000;
@@ -49,16 +50,16 @@ struct Head {
     len: AtomicU32,
     /// Signal that a thread of the lane received, set by the child's handler; 0 for none.
     signal: AtomicU32,
-    /// Of the connection to another machine, written by its link.
+    /// Counters of the connection to another machine, written by its link.
     link: LinkCounts,
 }
 
-/// What a link knows of its connection. Atomics, because the host reads them at any time.
+/// State of a link's connection. Atomic, because the host reads it at any time.
 #[repr(C)]
 #[derive(Default)]
 pub(crate) struct LinkCounts {
     pub clock_offset_ns: AtomicI64,
-    /// 0 while the offset is unknown.
+    /// Maximum error of the clock offset, ns; 0 while the offset is unknown.
     pub clock_uncertainty_ns: AtomicU64,
     pub round_trip_ns: AtomicU64,
     pub sent_bytes: AtomicU64,
@@ -77,7 +78,7 @@ pub(crate) enum Side {
 /// A mapped lane. Counters are those of this side.
 pub(crate) struct Lane {
     base: *mut u8,
-    /// Moving average of the time that this side waits.
+    /// Moving average of the waiting time of this side.
     usual_ns: AtomicU64,
     posts: AtomicU64,
     sleeps: AtomicU64,
@@ -88,13 +89,13 @@ unsafe impl Send for Lane {}
 // SAFETY: the head is atomics; the message is written by the side whose turn it is.
 unsafe impl Sync for Lane {}
 
-/// Why there is no message of the other side.
+/// No message from the other side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lost {
     Gone,
-    /// It is malformed.
+    /// The message is malformed.
     Bad,
-    /// It did not come in time.
+    /// The message did not arrive in time.
     Late,
 }
 
@@ -105,7 +106,7 @@ impl From<BadMessage> for Lost {
 }
 
 impl Lane {
-    /// A new lane, the host's turn, with the file for the child to map.
+    /// A new lane with the host's turn, and the file for the child to map.
     pub fn create() -> std::io::Result<(Self, File)> {
         // SAFETY: the name is a zero-terminated text.
         let fd = unsafe { libc::memfd_create(c"panoscope-lane".as_ptr(), libc::MFD_CLOEXEC | libc::MFD_ALLOW_SEALING) };
@@ -150,7 +151,7 @@ impl Lane {
         self.post_as(from, kind as u32, len as u32, message);
     }
 
-    /// As [`Self::post`], with any numbers in the head of the message.
+    /// As [`Self::post`], with arbitrary numbers in the head of the message.
     pub fn post_as(&self, from: Side, kind: u32, stated_len: u32, message: &[u8]) {
         self.posts.fetch_add(1, Ordering::Relaxed);
         let len = message.len().min(MAX_MESSAGE_BYTES);
@@ -172,7 +173,7 @@ impl Lane {
         unsafe { libc::syscall(libc::SYS_futex, &raw const self.head().turn, libc::FUTEX_WAKE, i32::MAX) };
     }
 
-    /// Tells the host's side that the child is gone.
+    /// Tells the host's side that the child has ended.
     pub fn close(&self) {
         self.head().turn.swap(GONE, Ordering::SeqCst);
         self.wake();
@@ -235,7 +236,8 @@ impl Lane {
         in_time
     }
 
-    /// Spins until the turn has passed; `false` if that takes too long. A thread that is ready to run, perhaps the other side, gets the core.
+    /// Spins until the turn has passed; `false` if that takes too long. Yields the core to other threads, perhaps the
+    /// other side.
     fn spin(&self, passed: impl Fn() -> bool, waited_ns: impl Fn() -> u64) -> bool {
         loop {
             for _ in 0..LOOKS_PER_YIELD {
@@ -278,7 +280,7 @@ impl Lane {
         }
     }
 
-    /// What the link of another machine says of its connection.
+    /// State of the connection, as reported by the link to another machine.
     pub fn link(&self) -> &LinkCounts {
         &self.head().link
     }

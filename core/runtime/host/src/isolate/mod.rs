@@ -1,18 +1,20 @@
-//! Runs nodes of a graph in processes of their own.
+//! Runs nodes of a graph in separate processes.
 //!
-//! The nodes of one *group* share a child process. [`Processes`] attaches to the engine and makes the groups; [`child::serve`] is the
-//! child's main loop. Pixels are never copied: the child maps the host's frame pools read-only and writes pools of its own, which the
-//! host maps too. Each open instance has a *lane*, a page of shared memory on which host and child take turns:
+//! The nodes of one *group* share a child process. [`Processes`] attaches to the engine and makes the groups;
+//! [`child::serve`] is the child's main loop. Pixels are never copied: the child maps the host's frame pools read-only
+//! and writes its own pools, which the host maps too. Each open instance has a *lane*, a page of shared memory on which
+//! host and child take turns:
 //!
-//! - The host posts a request (open, process, close, ...) and waits. With the request of a tick it sends what the node is likely to ask for: a
-//!   buffer for each output, ages that were asked for before, the clock.
-//! - The child calls the plugin. Of the host functions that the plugin calls, those without a result that it needs at once are written down;
-//!   the others are posted back on the same lane and run on the waiting host thread.
-//! - The child posts the result. Whatever was written down goes in front of each message, and the host runs it first, in order, so that reference
-//!   counts, claims of files, ages and logs are those of the host. A tick of an ordinary filter costs one wake each way.
+//! - The host posts a request (open, process, close, ...) and waits. With the request of a tick it sends data that the
+//!   node is likely to ask for: a buffer for each output, ages that were asked for before, the clock.
+//! - The child calls the plugin. Of the host functions that the plugin calls, those without a result that it needs at
+//!   once are written down; the others are posted back on the same lane and run on the waiting host thread.
+//! - The child posts the result. Whatever was written down goes in front of each message, and the host runs it first,
+//!   in order, so that reference counts, claims of files, ages and logs are those of the host. A tick of an ordinary
+//!   filter costs one wake each way.
 //!
-//! The host trusts nothing that the child writes: messages are copied before they are read, every length is checked, buffers are named by
-//! (pool, offset), and a malformed message ends the process.
+//! The host trusts nothing that the child writes: messages are copied before they are read, every length is checked,
+//! buffers are named by (pool, offset), and a malformed message ends the process.
 
 pub mod child;
 mod confine;
@@ -31,21 +33,21 @@ pub use host::{
     DescribeError, Describer, Description, Launch, PluginImage, Processes, describe, remember, remember_described,
 };
 
-/// First argument of the program that makes it the child process of a group: `panoscope isolated-nodes GROUP`. Its standard input is the socket;
-/// the name is for lists of processes.
+/// First argument of the program that makes it the child process of a group: `panoscope isolated-nodes GROUP`. Its
+/// standard input is the socket; the name is for lists of processes.
 pub const COMMAND: &str = "isolated-nodes";
 
-/// Name of the program that links machines. It is beside this program, which so needs no network library.
+/// Name of the program that links machines. It is next to this program, which therefore needs no network library.
 pub const MACHINE_PROGRAM: &str = "panoscope-machine";
 
-/// First argument of [`MACHINE_PROGRAM`] that makes it the link of a group that runs on another machine: `panoscope-machine link ... MACHINE`. Its
-/// standard input is the socket, as for [`COMMAND`].
+/// First argument of [`MACHINE_PROGRAM`] that makes it the link of a group that runs on another machine:
+/// `panoscope-machine link ... MACHINE`. Its standard input is the socket, as for [`COMMAND`].
 pub const LINK_COMMAND: &str = "link";
 
-/// Exit status of a link that has lost its machine, or was refused there; why stands in its standard error.
+/// Exit status of a link that lost its machine or was refused; its standard error has the reason.
 pub const EXIT_LINK: i32 = 88;
 
-/// Exit status of a process that could not be locked in.
+/// Exit status of a process that could not be confined.
 pub(crate) const EXIT_CONFINED: i32 = 87;
 
 /// Incremented when the messages change: host and child must be of one build.

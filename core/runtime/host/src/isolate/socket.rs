@@ -4,22 +4,22 @@ use std::io;
 use std::mem::MaybeUninit;
 use std::os::fd::{AsRawFd, BorrowedFd, FromRawFd, OwnedFd, RawFd};
 
-/// Longest message.
+/// Maximum length of a message, bytes.
 const MAX_BYTES: usize = 8192;
-/// Room for one file descriptor as ancillary data, aligned as the system wants it.
+/// Room for one file descriptor as ancillary data, aligned as the system requires.
 type Control = [u64; 4];
 
-/// What the host sends.
+/// Kind of a message from the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub(crate) enum Tag {
-    /// Protocol, threads, most bytes of memory. First.
+    /// First message: protocol, threads, maximum memory in bytes.
     Hello = 1,
-    /// Number, length, whether the child writes it; with the file.
+    /// A pool: number, length, whether the child writes it; with the file.
     Pool,
-    /// With the file.
+    /// A lane; with the file.
     Lane,
-    /// Number and path; with the file.
+    /// A plugin: number and path; with the file.
     Plugin,
 }
 
@@ -29,7 +29,7 @@ impl Tag {
     }
 }
 
-/// Two connected sockets; neither survives the start of another program.
+/// Two connected sockets, closed when another program is started.
 pub(crate) fn pair() -> io::Result<(OwnedFd, OwnedFd)> {
     let mut fds = [0; 2];
     let kind = libc::SOCK_SEQPACKET | libc::SOCK_CLOEXEC;
@@ -75,7 +75,7 @@ pub(crate) fn send(socket: BorrowedFd<'_>, message: &[u8], file: Option<Borrowed
     }
 }
 
-/// Receives a message and its file descriptor. An empty message is the end: the other side is gone.
+/// Receives a message and its file descriptor. An empty message means that the other side has closed the socket.
 pub(crate) fn receive(socket: BorrowedFd<'_>) -> io::Result<(Vec<u8>, Option<OwnedFd>)> {
     let mut message = vec![0; MAX_BYTES];
     let mut part = libc::iovec { iov_base: message.as_mut_ptr().cast(), iov_len: message.len() };

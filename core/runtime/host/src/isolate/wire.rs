@@ -1,15 +1,15 @@
-//! Messages as bytes. Little-endian numbers one after the other; texts and lists with their length in front.
+//! Messages as bytes. Little-endian numbers in sequence; texts and lists are preceded by their length.
 
 use panoscope_abi::{self as abi, BufferId, Frame, ParamValue, Str, Tick};
 
-/// Problems of one node that are passed on.
+/// Maximum number of problems of one node that are passed on.
 pub(crate) const MAX_PROBLEMS: usize = 64;
-/// Longest text of a problem.
+/// Maximum length of a problem's text, bytes.
 pub(crate) const MAX_PROBLEM_BYTES: usize = 4096;
-/// Longest text of a log line, a fault or a path that is passed on.
+/// Maximum length of a log line, fault or path that is passed on, bytes.
 pub(crate) const MAX_TEXT_BYTES: usize = 64 << 10;
 
-/// What a message is.
+/// Kind of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub(crate) enum Kind {
@@ -46,7 +46,7 @@ pub(crate) enum Kind {
     Placed,
     /// A copy of an output in a buffer of the stock.
     Copied,
-    /// Only what goes before every message.
+    /// Only the deferred functions that precede every message.
     Flush,
 }
 
@@ -83,7 +83,7 @@ impl Kind {
         Kind::Flush,
     ];
 
-    /// Whether the child may put it in front of a message instead of asking: nothing of its result is needed.
+    /// Whether the child may defer it instead of asking, because its result is not needed.
     pub fn is_deferred(self) -> bool {
         use Kind::{Copied, Forward, Metric, Placed, Release, Retain, SetArrived, SetLag};
         matches!(self, Placed | Copied | Forward | Retain | Release | Metric | SetArrived | SetLag)
@@ -94,12 +94,12 @@ impl Kind {
     }
 }
 
-/// A message that ends too early or holds an impossible value.
+/// A message that is truncated or has an impossible value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a message between the processes is malformed")]
 pub(crate) struct BadMessage;
 
-/// Writes a message into a buffer that is used again.
+/// Writes a message into a reusable buffer.
 pub(crate) struct Writer<'b>(pub &'b mut Vec<u8>);
 
 impl Writer<'_> {
@@ -168,7 +168,7 @@ impl Writer<'_> {
     }
 }
 
-/// Reads a message from a copy that nobody else writes.
+/// Reads a message from a private copy.
 pub(crate) struct Reader<'b>(pub &'b [u8]);
 
 impl<'b> Reader<'b> {
@@ -264,7 +264,7 @@ impl<'b> Reader<'b> {
     }
 }
 
-/// Values of parameters with what they point to, which does not move.
+/// Values of parameters and the data they point to, which does not move.
 #[derive(Default)]
 pub(crate) struct Params {
     pub values: Vec<ParamValue>,
@@ -272,13 +272,13 @@ pub(crate) struct Params {
     floats: Vec<Box<[f64]>>,
 }
 
-/// Words of another process, for a person: of limited length, without characters that control a terminal.
+/// Text of another process as a message: of limited length, without terminal control characters.
 pub(crate) fn plain_words(bytes: &[u8]) -> String {
     let words = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_PROBLEM_BYTES)]);
     words.chars().map(|c| if c.is_control() && c != '\n' { ' ' } else { c }).collect()
 }
 
-/// Whether a status is one that a plugin may return. Others would be taken for the host's own.
+/// Whether a status is one that a plugin may return. Others would be mistaken for the host's own.
 pub(crate) fn plain_status(status: abi::Status) -> abi::Status {
     if (abi::STATUS_STOPPED..=abi::STATUS_END).contains(&status) { status } else { abi::STATUS_ERROR }
 }

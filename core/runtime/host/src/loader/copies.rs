@@ -1,7 +1,8 @@
-//! Sealed copies of plugins, and what was loaded from them: one of each for every content of a file, shared by all loaders of the process.
+//! Sealed copies of plugins, and the results of loading them: one of each per file content, shared by all loaders of
+//! the process.
 //!
-//! A copy and a mapped library stay until the process ends. Without sharing, each graph that one process opens would add a file descriptor and the
-//! memory of its plugins.
+//! A copy and a mapped library stay until the process ends. Without sharing, each graph that one process opens would
+//! add a file descriptor and the memory of its plugins.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,15 +16,16 @@ use crate::loader::error::LoadError;
 use crate::loader::plugin_file::{Loaded, PluginFile};
 use crate::loader::sealed::{Fingerprint, SealedWriter};
 
-/// Bytes that are compared at once.
+/// Size of the blocks that are compared.
 const CHUNK_BYTES: usize = 1 << 16;
 
-/// What [`Loaded`] was made by; each has node types of its own.
+/// Origin of a [`Loaded`]; each has separate node types.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Way {
     /// The library was mapped into this process.
     Mapped,
-    /// Another process described it. For Python: the name of its description, which depends on the interpreter and on the modules beside the file.
+    /// Another process described it. For Python: the name of its description, which depends on the interpreter and on
+    /// the modules next to the file.
     Described(Option<PathBuf>),
 }
 
@@ -37,15 +39,15 @@ pub(crate) struct PluginCopy {
     loaded: Mutex<BTreeMap<Way, Loaded>>,
 }
 
-/// All copies. They are never removed: debuggers read symbols through them, processes of isolated nodes map them, and the dynamic linker would
-/// take another file of the same number for one of them.
+/// All copies. They are never removed: debuggers read symbols through them, processes of isolated nodes map them, and
+/// the dynamic linker would mistake another file of the same number for one of them.
 static COPIES: Mutex<Vec<Arc<PluginCopy>>> = Mutex::new(Vec::new());
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The sealed copy of a plugin's file as it is now; with this SHA-256 where one is given.
+/// The sealed copy of a plugin's file as it is now; with this SHA-256, if one is given.
 pub(crate) fn copy_of(plugin: &PluginFile, sha256: Option<&str>) -> Result<Arc<PluginCopy>, LoadError> {
     let file = &plugin.file;
     let unreadable = |cause| LoadError::Unreadable { file: file.clone(), cause };
@@ -123,7 +125,7 @@ impl PluginCopy {
         }
     }
 
-    /// What was loaded from the copy in this way; loads it the first time, and again where that failed.
+    /// The result of loading the copy in this way; loads it the first time and retries after a failure.
     pub fn loaded(&self, way: Way, load: impl FnOnce() -> Result<Loaded, LoadError>) -> Result<Loaded, LoadError> {
         let mut loaded = lock(&self.loaded);
         if let Some(loaded) = loaded.get(&way) {

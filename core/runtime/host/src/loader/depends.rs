@@ -11,7 +11,7 @@ use crate::loader::needed;
 use crate::loader::plugin_file::PluginFile;
 use crate::loader::sealed::Fingerprint;
 
-/// Programs of an installation that take part in runs, beside the running one.
+/// Programs of an installation that take part in runs, next to the running one.
 const PROGRAMS: [&str; 4] = ["panoscope", "panoscope-arm", "panoscope-machine", "panoscope-theatre"];
 
 /// Name of ONNX Runtime in a lock.
@@ -21,7 +21,7 @@ const RUNTIME: &str = "onnxruntime";
 pub struct CodeFile {
     /// Its role and name in a lock.
     pub kind: Kind,
-    /// See [`LockedFile::name`].
+    /// Name in a lock; see [`LockedFile::name`].
     pub name: String,
     content: Content,
 }
@@ -36,11 +36,11 @@ enum Content {
 pub struct DataFile {
     /// Its role.
     pub kind: Kind,
-    /// See [`LockedFile::name`].
+    /// Name in a lock; see [`LockedFile::name`].
     pub name: String,
     /// The file.
     pub path: PathBuf,
-    /// For weights: the name by which the model knows them.
+    /// For weights: the name by which the model refers to them.
     pub location: Option<String>,
 }
 
@@ -61,7 +61,7 @@ impl DataFile {
     }
 }
 
-/// Fingerprints of files on disk, on as many threads as there are cores; empty where a file cannot be read.
+/// Fingerprints of files on disk, computed on one thread per core; empty if a file cannot be read.
 fn fingerprints(files: &[Option<&Path>]) -> Vec<Fingerprint> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(files.len().max(1));
     let mut all = vec![Fingerprint::default(); files.len()];
@@ -78,13 +78,14 @@ fn fingerprints(files: &[Option<&Path>]) -> Vec<Fingerprint> {
     all
 }
 
-/// The folder of the running program; of a test of cargo, the folder of the build.
+/// The folder of the running program; for a cargo test, the folder of the build.
 fn program_dir() -> Option<PathBuf> {
     let folder = panoscope_base::program::folder()?;
     if folder.ends_with("deps") { folder.parent().map(Path::to_owned) } else { Some(folder) }
 }
 
-/// The graph's files, those of the `found` plugins that it lists and of `extra_plugins`, the libraries that these need, and the programs. Runs no code of them.
+/// The graph's files, those of the `found` plugins that it lists and of `extra_plugins`, the libraries that these need,
+/// and the programs. Runs none of their code.
 pub fn code<'a>(
     text: &GraphText,
     found: impl Iterator<Item = &'a PluginFile>,
@@ -142,7 +143,7 @@ pub fn code<'a>(
     files.into_iter().zip(fingerprints).map(locked).collect()
 }
 
-/// Whether a parameter names the calibration of cameras.
+/// Whether a parameter names a camera calibration.
 fn calibrates(param: &Param) -> bool {
     param.name.contains("calibration")
 }
@@ -151,7 +152,7 @@ fn is_model(file: &Path) -> bool {
     file.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx"))
 }
 
-/// What the value of a parameter names: one file, or the files of a list.
+/// Files that the value of a parameter names: one file, or the files of a list.
 pub(crate) enum Named {
     /// The value is one path.
     One(PathBuf),
@@ -159,8 +160,9 @@ pub(crate) enum Named {
     Listed(Vec<PathBuf>),
 }
 
-/// The files that a parameter reads: the one mechanism by which a lock, and a run under a lock, know a node's files. A parameter is declared
-/// as a file by its type (a path that the node does not write) or by the hint that it may name a file. `folder` is that of the graph.
+/// The files that a parameter reads. Locks, and runs under a lock, find a node's files only this way. A parameter is
+/// declared as a file by its type (a path that the node does not write) or by the hint that it may name a file.
+/// `folder` is that of the graph.
 pub(crate) fn files_of(param: &Param, value: &ParamValue, folder: &Path) -> Option<Named> {
     match (&param.kind, value) {
         (ParamKind::Path { must_exist, .. }, ParamValue::Path(file)) if !param.writes => {
@@ -192,8 +194,8 @@ pub(crate) fn kind_of(param: &Param, file: &Path) -> Kind {
     }
 }
 
-/// The files that the nodes of a checked graph read, in the order of the nodes: models with the files of their weights, calibrations, URDF,
-/// labels, recorded pictures; and ONNX Runtime where there is a model.
+/// The files that the nodes of a checked graph read, in the order of the nodes: models with the files of their weights,
+/// calibrations, URDF, labels, recorded images; and ONNX Runtime if there is a model.
 pub fn data(graph: &Graph, catalog: &Catalog, folder: &Path) -> Vec<DataFile> {
     let mut files = Vec::new();
     for node in &graph.nodes {
@@ -219,7 +221,7 @@ pub fn data(graph: &Graph, catalog: &Catalog, folder: &Path) -> Vec<DataFile> {
     files
 }
 
-/// Names of the files of a model's weights that are beside it. A model that cannot be read has none: its node says why.
+/// Names of the files of a model's weights that are next to it. An unreadable model has none; its node reports why.
 pub(crate) fn weights_of(model: &Path) -> Vec<String> {
     // A device or a pipe need not end.
     if !model.is_file() {
@@ -232,7 +234,7 @@ pub(crate) fn weights_of(model: &Path) -> Vec<String> {
     names
 }
 
-/// ONNX Runtime's library as the nodes that use it will find it.
+/// ONNX Runtime's library as found by the nodes that use it.
 fn runtime() -> Option<PathBuf> {
     let found = onnx::runtime_candidates().into_iter().find_map(|file| match file.components().count() {
         1 => needed::library(&file.display().to_string()),
@@ -241,7 +243,7 @@ fn runtime() -> Option<PathBuf> {
     found.canonicalize().ok()
 }
 
-/// Fingerprints of files that nodes read, as they are on disk.
+/// Fingerprints of files that nodes read, on disk.
 pub fn locked(files: &[DataFile]) -> Vec<LockedFile> {
     let paths: Vec<Option<&Path>> = files.iter().map(|file| Some(file.path.as_path())).collect();
     let locked = |(file, Fingerprint { bytes, sha256 }): (&DataFile, Fingerprint)| LockedFile {
@@ -253,7 +255,7 @@ pub fn locked(files: &[DataFile]) -> Vec<LockedFile> {
     files.iter().zip(fingerprints(&paths)).map(locked).collect()
 }
 
-/// Fingerprints of plugins that a lock names, by plugin.
+/// Fingerprints of the plugins in a lock, by plugin.
 pub(crate) fn plugins_of(files: &[LockedFile]) -> BTreeMap<String, String> {
     let plugins = files.iter().filter(|file| file.kind == Kind::Plugin);
     plugins.map(|file| (file.name.clone(), file.sha256.clone())).collect()

@@ -1,7 +1,7 @@
 //! Checks a plugin's ELF file before it is loaded, and reads its Panoscope note.
 //!
-//! Mapping a truncated shared object ends in SIGBUS, and constructors run as soon as it is loaded. Completeness and ABI version are
-//! therefore checked by reading the file. Only 64-bit ELF is supported.
+//! Mapping a truncated shared object ends in SIGBUS, and constructors run as soon as it is loaded. Completeness and ABI
+//! version are therefore checked by reading the file. Only 64-bit ELF is supported.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -24,13 +24,13 @@ pub struct Note {
     pub node_types: Vec<String>,
 }
 
-/// Why a file cannot be used as a plugin.
+/// A file that cannot be used as a plugin.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ElfError {
     /// Not an ELF shared object of this machine.
     #[error("it is not a shared library for this machine ({what})")]
     NotElf {
-        /// What the file is instead.
+        /// Actual type of the file.
         what: String,
     },
     /// Shorter than its tables require.
@@ -38,7 +38,7 @@ pub enum ElfError {
     CutOff {
         /// The missing part.
         what: &'static str,
-        /// Where that part would end.
+        /// End of that part in the file.
         end: u64,
         /// Length of the file in bytes.
         len: u64,
@@ -59,7 +59,7 @@ pub enum ElfError {
     /// The note cannot be parsed.
     #[error("its Panoscope note is damaged: {what}")]
     BadNote {
-        /// What is wrong with the note.
+        /// Mistake in the note.
         what: String,
     },
 }
@@ -67,9 +67,9 @@ pub enum ElfError {
 const PT_LOAD: u32 = 1;
 const SHT_NOBITS: u32 = 8;
 const SHT_NOTE: u32 = 7;
-/// Bytes of an entry of the table of segments and of that of sections, in every 64-bit ELF file.
+/// Bytes per entry of the tables of segments and sections in a 64-bit ELF file.
 const ENTRY_BYTES: (u64, u64) = (56, 64);
-/// Maximum number of bytes of all notes: those of compilers have a few hundred, ours two thousand.
+/// Maximum number of bytes of all notes: compilers' notes have a few hundred, the plugin note two thousand.
 const MAX_NOTE_BYTES: u64 = 1 << 20;
 
 /// A file that is read in parts: plugins are large, and only a small part is needed before loading.
@@ -77,7 +77,7 @@ pub trait Parts {
     /// Length of the file in bytes.
     fn size(&self) -> u64;
 
-    /// `len` bytes from offset `at` on; the caller makes sure that they lie inside the file.
+    /// `len` bytes from offset `at` on; the caller ensures that they are inside the file.
     ///
     /// # Errors
     /// The bytes cannot be read.

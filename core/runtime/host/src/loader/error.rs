@@ -8,7 +8,7 @@ use panoscope_graph::PluginProblem;
 use crate::loader::elf::ElfError;
 use crate::loader::file_name::is_python;
 
-/// Why a plugin in Python cannot run.
+/// A Python plugin that cannot run.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoPython {
     /// There is no such interpreter.
@@ -20,18 +20,18 @@ pub enum NoPython {
     /// The installation has no Python package.
     #[error("the Python package `panoscope` is missing in {folder}", folder = folder.display())]
     Package {
-        /// Where it should be.
+        /// Expected path.
         folder: PathBuf,
     },
-    /// The metadata in the file's head are no TOML.
+    /// The metadata in the file's head are not TOML.
     #[error("its `# /// script` block is not valid: {reason}")]
     Metadata {
-        /// The parser's words.
+        /// The parser's message.
         reason: String,
     },
 }
 
-/// Why a plugin was not loaded.
+/// A plugin that was not loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     /// The file cannot be read.
@@ -47,7 +47,7 @@ pub enum LoadError {
     BadFile {
         /// The plugin's file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the problem.
         cause: ElfError,
     },
     /// Built for another ABI.
@@ -60,7 +60,7 @@ pub enum LoadError {
         /// Major number of this host.
         expected: u32,
     },
-    /// No sealed copy of it could be made or read.
+    /// Its sealed copy could not be made or read.
     #[error("{file} cannot be loaded: a copy in memory could not be made: {cause}", file = file.display())]
     Copy {
         /// The plugin's file.
@@ -76,18 +76,18 @@ pub enum LoadError {
         /// The dynamic linker's message.
         cause: String,
     },
-    /// It is another file than the one that was locked.
+    /// It differs from the locked file.
     #[error("{file} was not loaded: it has changed since the graph was locked", file = file.display())]
     NotLocked {
         /// The plugin's file.
         file: PathBuf,
     },
-    /// Its nodes run in processes of their own, and the one that describes it did not.
+    /// Its nodes run in separate processes, and it could not be described.
     #[error("{file} cannot be used: {cause}", file = file.display())]
     Undescribed {
         /// The plugin's file.
         file: PathBuf,
-        /// What happened to the process.
+        /// Description of the process's end.
         cause: DescribeError,
     },
     /// A Python file without node classes.
@@ -104,12 +104,12 @@ pub enum LoadError {
         /// What is missing.
         cause: NoPython,
     },
-    /// It was loaded, but its descriptor is invalid.
+    /// Its descriptor is invalid.
     #[error("the descriptor of {file} is invalid: {cause}", file = file.display())]
     BadDescriptor {
         /// The plugin's file.
         file: PathBuf,
-        /// What is wrong with the descriptor.
+        /// Description of the problem.
         cause: String,
     },
 }
@@ -163,7 +163,7 @@ impl LoadError {
         }
     }
 
-    /// The problem of `plugin` as the graph checker reports it, with help.
+    /// The problem of `plugin` in the form of the graph checker, with help.
     pub fn problem(&self, plugin: &str) -> PluginProblem {
         PluginProblem {
             plugin: plugin.to_owned(),
@@ -174,12 +174,12 @@ impl LoadError {
     }
 }
 
-/// Whether this process, or the system, has no file descriptor left.
+/// Whether this process, or the system, has run out of file descriptors.
 fn is_out_of_descriptors(error: &std::io::Error) -> bool {
     matches!(error.raw_os_error(), Some(libc::EMFILE | libc::ENFILE))
 }
 
-/// Debian's packages with the library that the dynamic linker misses, as far as they are known.
+/// Known Debian packages with the library that the dynamic linker did not find.
 fn packages_of(message: &str) -> Option<&'static str> {
     let library = message.split([' ', ':', '`']).find(|word| word.starts_with("lib") && word.contains(".so"))?;
     let packages = if library.starts_with("libopencv") {

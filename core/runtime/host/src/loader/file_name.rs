@@ -1,4 +1,4 @@
-//! What the name of a plugin's file says.
+//! Reads the name of a plugin's file.
 
 use std::ffi::OsStr;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Which models came from elsewhere, and the limits of their trial.
+//! Models of foreign origin, and the limits of their trial.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -13,17 +13,18 @@ use crate::loader::file_name::stem;
 use crate::loader::sealed;
 use crate::loader::stamp::Stamp;
 
-/// How long the smallest model may take to open, ten times what it takes on an idle machine; and what each further megabyte adds.
+/// Time limit for opening the smallest model: ten times its time on an idle machine.
 const BASE_TIME: Duration = Duration::from_secs(5);
 const TIME_PER_MB: Duration = Duration::from_millis(250);
-/// Less than opening may take in a run, so that the reason is that of the trial.
+/// Maximum time limit, below that of opening in a run, so that the trial's own message is reported.
 const MAX_TIME: Duration = Duration::from_secs(25);
 /// Memory for the process itself with ONNX Runtime and OpenCV.
 const BASE_BYTES: u64 = 1 << 30;
-/// Memory for each byte of the model and its weights: parsed, optimized and laid out for the processor.
+/// Memory per byte of the model and its weights, which are parsed, optimized and laid out for the processor.
 const BYTES_PER_BYTE: u64 = 8;
 
-/// Whether a parameter with this value names a neural network. The ending does not decide: a hostile file may have any.
+/// Whether a parameter with this value names a neural network. The file's extension is ignored, because a hostile file
+/// may have any.
 pub fn is_model(name: &str, value: &ParamValue) -> bool {
     let ParamValue::Path(file) = value else { return false };
     let is_named_so = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx"));
@@ -48,7 +49,7 @@ pub(crate) fn limits(models: &[&Path]) -> TrialLimits {
     }
 }
 
-/// Whether a model came with a plugin: it lies in the plugin's folder beside the library.
+/// Whether a model came with a plugin: it is in the plugin's folder next to the library.
 fn is_shipped(model: &Path, plugin_file: &Path) -> bool {
     let shipped = plugin_file.parent().unwrap_or(Path::new("")).join(stem(plugin_file));
     match (model.canonicalize(), shipped.canonicalize()) {
@@ -57,7 +58,7 @@ fn is_shipped(model: &Path, plugin_file: &Path) -> bool {
     }
 }
 
-/// Tries models that came neither with their plugin nor under a lock, once for each version of their files.
+/// Opens models on trial that came neither with their plugin nor under a lock, once per version of their files.
 #[derive(Debug, Default)]
 struct ForeignModels {
     /// Nodes that opened: their files and values.
@@ -108,7 +109,7 @@ fn about(models: &[&Path], cause: TrialError) -> VetError {
     }
 }
 
-/// What all runs of this process share.
+/// The instance that all runs of this process share.
 pub(crate) fn vet() -> Arc<dyn Vet> {
     static VET: LazyLock<Arc<ForeignModels>> = LazyLock::new(Arc::default);
     Arc::clone(&*VET) as _

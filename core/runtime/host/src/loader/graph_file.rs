@@ -6,17 +6,17 @@ use panoscope_graph::{Catalog, Diagnostics, Graph, GraphOptions, GraphText, chec
 
 use crate::loader::search::{Loader, search_path};
 
-/// A checked graph with what it was checked against.
+/// A checked graph with its text, catalogue and loader.
 pub struct Ready {
-    /// What was read.
+    /// The text that was read.
     pub text: GraphText,
     /// The graph.
     pub graph: Graph,
     /// Node types of its plugins.
     pub catalog: Catalog,
-    /// Where its plugins came from.
+    /// Loader of its plugins.
     pub loader: Loader,
-    /// What was odd but not wrong.
+    /// Warnings of the check.
     pub warnings: Diagnostics,
 }
 
@@ -37,7 +37,7 @@ pub fn ready_with(text: &GraphText, loader: Loader) -> Result<Ready, Diagnostics
     Ok(Ready { text: text.clone(), graph, catalog, loader, warnings })
 }
 
-/// All plugins of this machine, found and not loaded.
+/// Finds all plugins of this machine without loading them.
 pub fn all_plugins() -> Loader {
     Loader::search(&search_path(&[]))
 }

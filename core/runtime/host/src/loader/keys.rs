@@ -1,7 +1,7 @@
 //! Keys that sign locks, and the keys that an installation trusts.
 //!
-//! A key is an Ed25519 key in a text file of one line: `panoscope-secret-key 1 HEX` or `panoscope-public-key 1 HEX`. Lines that begin with `#`
-//! are comments.
+//! A key is an Ed25519 key in a text file of one line: `panoscope-secret-key 1 HEX` or `panoscope-public-key 1 HEX`.
+//! Lines that begin with `#` are comments.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
@@ -20,10 +20,10 @@ const VERSION: &str = "1";
 /// Trusted keys of the whole machine.
 const SYSTEM_FOLDER: &str = "/etc/panoscope/keys";
 
-/// Ending of files with public keys.
+/// Extension of files with public keys.
 const ENDING: &str = "pub";
 
-/// Why a key was not made or read.
+/// A key that was not made or read.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
     /// A file could not be read or written.
@@ -35,23 +35,23 @@ pub enum KeyError {
         cause: std::io::Error,
     },
     /// A new key would replace a file.
-    #[error("{file} exists already, and a key is never replaced; name another file", file = file.display())]
+    #[error("{file} already exists, and keys are never replaced; choose another file", file = file.display())]
     Exists {
         /// The file.
         file: PathBuf,
     },
-    /// The file is no key.
+    /// The file is not a key.
     #[error("{file} is not a {expected} ({reason}); `panoscope lock --new-key FILE` makes keys", file = file.display())]
     Damaged {
         /// The file.
         file: PathBuf,
-        /// What it should be.
+        /// Kind of key that was expected.
         expected: &'static str,
-        /// What is wrong with it.
+        /// Description of the problem.
         reason: &'static str,
     },
     /// Other users may read the secret key.
-    #[error("other users can read the secret key {file}, so it proves nothing; make a new one, and keep it with `chmod 600`", file = file.display())]
+    #[error("other users can read the secret key {file}, so it is not secret; make a new one, and protect it with `chmod 600`", file = file.display())]
     Open {
         /// The file.
         file: PathBuf,
@@ -82,28 +82,29 @@ fn read(file: &Path, expected: &'static str) -> Result<[u8; 32], KeyError> {
     // A key has a line or two; something else may have gigabytes.
     match opened.take(10_000).read_to_string(&mut text) {
         Ok(_) => {}
-        Err(error) if error.kind() == std::io::ErrorKind::InvalidData => return Err(damaged("it is no text")),
+        Err(error) if error.kind() == std::io::ErrorKind::InvalidData => return Err(damaged("it is not text")),
         Err(cause) => return Err(KeyError::File { file: file.to_owned(), cause }),
     }
     let mut lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     let words: Vec<&str> = lines.next().unwrap_or("").split_whitespace().collect();
     match (words.as_slice(), lines.next()) {
         ([kind, VERSION, key], None) if *kind == expected => {
-            digits(key).ok_or(damaged("its key has not 64 hexadecimal digits"))
+            digits(key).ok_or(damaged("its key does not have 64 hexadecimal digits"))
         }
-        ([SECRET | PUBLIC, ..], _) => Err(damaged("it is a key of another kind or version")),
+        ([SECRET | PUBLIC, ..], _) => Err(damaged("it has another kind or version")),
         _ => Err(damaged("it has no key")),
     }
 }
 
-/// A key that signs. Whoever has it can vouch for locks.
+/// A signing key. Its holder can vouch for locks.
 pub struct SecretKey {
     key: SigningKey,
     name: String,
 }
 
 impl SecretKey {
-    /// Makes a key pair: the secret key in `file`, which only its owner can read, and the public key beside it as `file.pub`.
+    /// Makes a key pair: the secret key in `file`, which only its owner can read, and the public key next to it as
+    /// `file.pub`.
     ///
     /// # Errors
     /// One of the files exists, or cannot be written.
@@ -145,7 +146,7 @@ impl SecretKey {
     /// Reads a secret key.
     ///
     /// # Errors
-    /// The file cannot be read, is no secret key, or can be read by others.
+    /// The file cannot be read, is not a secret key, or can be read by others.
     pub fn read(file: &Path) -> Result<Self, KeyError> {
         let meta = std::fs::metadata(file).map_err(in_file(file))?;
         let seed = read(file, SECRET)?;
@@ -155,12 +156,12 @@ impl SecretKey {
         Ok(Self { key: SigningKey::from_bytes(&seed), name: name_of(file) })
     }
 
-    /// The public key, which others need to check signatures of this one.
+    /// The public key, with which others check signatures of this key.
     pub fn public(&self) -> PublicKey {
         PublicKey { key: self.key.verifying_key(), name: self.name.clone() }
     }
 
-    /// The signature of a message, as hexadecimal digits.
+    /// Signature of a message, as hexadecimal digits.
     pub(crate) fn sign(&self, message: &[u8]) -> String {
         hex(&self.key.sign(message).to_bytes())
     }
@@ -209,7 +210,7 @@ impl PublicKey {
         hex(self.key.as_bytes())
     }
 
-    /// The first 16 digits, as messages show them.
+    /// The first 16 digits, for messages.
     pub fn short(&self) -> String {
         self.hex().chars().take(16).collect()
     }
@@ -228,7 +229,8 @@ pub struct Trust {
 }
 
 impl Trust {
-    /// Folders with trusted keys (`*.pub`): `/etc/panoscope/keys`, and `panoscope/keys` in the user's configuration folder.
+    /// Folders with trusted keys (`*.pub`): `/etc/panoscope/keys`, and `panoscope/keys` in the user's configuration
+    /// folder.
     pub fn folders() -> Vec<PathBuf> {
         let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let config = absolute("XDG_CONFIG_HOME").or_else(|| Some(absolute("HOME")?.join(".config")));
@@ -236,7 +238,7 @@ impl Trust {
         std::iter::once(PathBuf::from(SYSTEM_FOLDER)).chain(own).collect()
     }
 
-    /// The folder that a message names where a key is missing.
+    /// The folder to name in messages about a missing key.
     pub(crate) fn folder_to_use() -> String {
         Self::folders().pop().unwrap_or_else(|| SYSTEM_FOLDER.into()).display().to_string()
     }
@@ -244,7 +246,7 @@ impl Trust {
     /// The keys of [`Self::folders`].
     ///
     /// # Errors
-    /// A file cannot be read or is not a public key: a key that somebody meant to trust must not be left out silently.
+    /// A file cannot be read or is not a public key: a key that was meant to be trusted must not be skipped silently.
     pub fn installed() -> Result<Self, KeyError> {
         Self::in_folders(&Self::folders())
     }

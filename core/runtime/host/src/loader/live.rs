@@ -13,7 +13,7 @@ use crate::loader::search::{self, Loader};
 use crate::loader::stamp::Stamp;
 use crate::loader::verify::{NotLocked, Seal};
 
-/// Why an edit failed; text and graph are unchanged.
+/// An edit that failed; text and graph are unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
     /// The edit does not fit the text.
@@ -41,13 +41,14 @@ pub struct Live<E> {
 }
 
 impl<E: Deref<Target = Engine>> Live<E> {
-    /// Takes over a graph that was started from `text`, read at `path`. `settings` (`node.param=value`) override the text.
+    /// Takes over a graph that was started from `text` of the file `path`. `settings` (`node.param=value`) override the
+    /// text.
     pub fn new(engine: E, path: &Path, text: String, settings: Vec<String>, loader: impl Into<Arc<Loader>>) -> Self {
         Self { engine, path: path.to_owned(), text, settings, loader: loader.into(), seal: None }
     }
 
-    /// From here on the graph runs under a lock: its nodes read the sealed copies of `seal`, and changes that need other files are refused.
-    /// `None` ends that.
+    /// Puts the graph under a lock: its nodes read the sealed copies of `seal`, and changes that need other files are
+    /// refused. `None` ends that.
     pub fn set_seal(&mut self, seal: Option<Arc<Seal>>) {
         self.seal = seal;
     }
@@ -91,12 +92,12 @@ impl<E: Deref<Target = Engine>> Live<E> {
     /// Changes the running graph to the one that `text` describes.
     ///
     /// # Errors
-    /// The text has mistakes, or the change did not succeed; the old graph runs on.
+    /// The text has mistakes, or the change did not succeed; the old graph keeps running.
     pub fn apply_text(&mut self, text: &str) -> Result<Applied, LiveError> {
         self.apply(&self.parse(text))
     }
 
-    /// Makes the running graph another one, read with its own parts, overlays and settings.
+    /// Replaces the running graph by another one with its own parts, overlays and settings.
     ///
     /// # Errors
     /// As [`Self::apply_text`].
@@ -162,16 +163,16 @@ pub struct Changed {
     pub plugins: bool,
 }
 
-/// Polls a graph file and the plugin folders for changes. A change is reported once the files are the same in two polls in a row, so that no
-/// half-written file is used.
+/// Polls a graph file and the plugin folders for changes. A change is reported once the files are the same in two polls
+/// in a row, so that no half-written file is used.
 pub struct FileWatch {
     path: PathBuf,
     /// Parts and overlays.
     files: Vec<PathBuf>,
     folders: Vec<PathBuf>,
-    /// As last reported.
+    /// Stamps that were reported last.
     reported: Stamps,
-    /// As in the last poll.
+    /// Stamps of the last poll.
     polled: Stamps,
 }
 
@@ -205,7 +206,8 @@ impl FileWatch {
         self
     }
 
-    /// Watches these parts and overlays from now on, as they are now, instead of those so far; with `and_old` beside those so far.
+    /// Watches these parts and overlays for changes from their current state, instead of the former ones or, with
+    /// `and_old`, in addition to them.
     pub fn set_files(&mut self, files: impl Iterator<Item = PathBuf>, and_old: bool) {
         let mut files: Vec<PathBuf> = files.collect();
         if and_old {
@@ -232,7 +234,7 @@ impl FileWatch {
         std::fs::read_to_string(&self.path)
     }
 
-    /// What changed since the last call that returned a change. Call it about every 200 ms.
+    /// Changes since the last call that returned a change. Call it about every 200 ms.
     pub fn poll(&mut self) -> Changed {
         let now = stamps(&self.path, &self.files, &self.folders);
         let stable = now == self.polled;

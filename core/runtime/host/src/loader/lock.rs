@@ -1,4 +1,5 @@
-//! Locks a graph: writes SHA-256 fingerprints of all files that its run depends on, signed where wanted, and compares them.
+//! Locks a graph: writes SHA-256 fingerprints of all files that its run depends on, optionally signed, and compares
+//! them.
 
 use std::fmt;
 use std::fs::File;
@@ -13,16 +14,16 @@ use crate::loader::keys::{SecretKey, Trust};
 use crate::loader::locked_file::{Kind, LockedFile};
 use crate::loader::search::Loader;
 
-/// Plugins that a lock covers besides those of the graph: the theatre writes clips with them.
+/// Plugins that a lock covers in addition to those of the graph, because the theatre writes clips with them.
 pub const ALWAYS_LOCKED: [&str; 1] = ["sinks"];
 
 /// Version of the lock file's layout.
 const VERSION: u32 = 2;
 
-/// Begins what is signed, so that a signature of something else cannot be taken for that of a lock.
+/// Prefix of the signed bytes, so that a signature of other data is not valid for a lock.
 const SIGNED_AS: &[u8] = b"panoscope lock 2\n";
 
-/// Why a text is not a lock.
+/// A text that is not a lock.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LockTextError {
     /// It is not TOML, or lacks a key.
@@ -32,14 +33,14 @@ pub enum LockTextError {
         message: String,
     },
     /// It has another layout.
-    #[error("its layout is version {version}, known is {VERSION}")]
+    #[error("its layout has version {version}, but this program reads version {VERSION}")]
     Version {
         /// The version that it states.
         version: u32,
     },
 }
 
-/// Why a lock was not written, read or believed.
+/// A lock that was not written, read or accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
     /// A file could not be read or written.
@@ -55,11 +56,11 @@ pub enum LockError {
     Damaged {
         /// The lock file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the problem.
         reason: String,
     },
-    /// There is no lock where one is needed.
-    #[error("{graph} was never locked: {file} does not exist; `panoscope lock` writes it", graph = graph.display(), file = file.display())]
+    /// A required lock is missing.
+    #[error("{graph} is not locked: {file} does not exist; write it with `panoscope lock`", graph = graph.display(), file = file.display())]
     Never {
         /// The graph file.
         graph: PathBuf,
@@ -82,7 +83,7 @@ pub enum LockError {
         /// A folder of trusted keys.
         folder: String,
     },
-    /// The lock does not fit its signature.
+    /// The lock does not match its signature.
     #[error("{file} was altered after it was signed with the key {key}; restore it, or lock the graph again", file = file.display())]
     Altered {
         /// The lock file.
@@ -92,7 +93,7 @@ pub enum LockError {
     },
 }
 
-/// Who vouches for a lock.
+/// Signature of a lock.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Signature {
     /// The public key, as hexadecimal digits.
@@ -122,11 +123,11 @@ pub struct Difference {
     pub kind: Kind,
     /// Name of the file, as in [`LockedFile::name`].
     pub name: String,
-    /// What changed.
+    /// Description of the change.
     pub change: Change,
 }
 
-/// How a file differs from the lock.
+/// Difference of a file from the lock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
     /// Its contents differ.
@@ -156,7 +157,8 @@ pub fn lock_path(graph: &Path) -> PathBuf {
 }
 
 impl Lock {
-    /// Fingerprints of a graph that was read as `text`, as all is now. `extra_plugins` are used besides those that the graph lists.
+    /// The current fingerprints of a graph that was read as `text`. `extra_plugins` are included in addition to those
+    /// that the graph lists.
     pub fn of(graph: &Graph, catalog: &Catalog, loader: &Loader, text: &GraphText, extra_plugins: &[&str]) -> Self {
         let folder = text.path().parent().unwrap_or(Path::new(""));
         let mut files = depends::code(text, loader.found(), extra_plugins);
@@ -196,7 +198,8 @@ impl Lock {
         toml::from_str(text).map_err(|error| LockTextError::Toml { message: error.message().to_owned() })
     }
 
-    /// What a signature covers: everything but itself, with the lengths of all texts, so that no two locks have the same bytes.
+    /// Bytes that a signature covers: everything but itself, with the lengths of all texts, so that different locks
+    /// have different bytes.
     fn message(&self) -> Vec<u8> {
         let mut out = SIGNED_AS.to_vec();
         let mut push = |text: &str| {
@@ -213,14 +216,14 @@ impl Lock {
         out
     }
 
-    /// Signs the lock as it is now; an older signature is replaced.
+    /// Signs the lock and replaces an older signature.
     pub fn sign(&mut self, key: &SecretKey) {
         let ed25519 = key.sign(&self.message());
         self.signature = Some(Signature { key: key.public().hex(), ed25519 });
     }
 
-    /// Whether the lock of the graph file `graph` may be believed: a trusted key signed it, or nobody did and no key is trusted here. Returns
-    /// the name of the key.
+    /// Whether the lock of the graph file `graph` is acceptable: signed by a trusted key, or unsigned while no key is
+    /// trusted here. Returns the name of the key.
     ///
     /// # Errors
     /// [`LockError::Unsigned`], [`LockError::UnknownKey`] or [`LockError::Altered`].
@@ -239,7 +242,7 @@ impl Lock {
         }
     }
 
-    /// Writes the lock beside the graph file, completely or not at all, and returns its path.
+    /// Writes the lock next to the graph file, completely or not at all, and returns its path.
     ///
     /// # Errors
     /// The file cannot be written; an older one is unchanged.
@@ -263,7 +266,7 @@ impl Lock {
         Ok(file)
     }
 
-    /// SHA-256 of what the lock says, as hexadecimal digits, for logs.
+    /// SHA-256 of the lock's content, as hexadecimal digits, for logs.
     pub fn digest(&self) -> String {
         crate::loader::sealed::Fingerprint::of(&self.message()).sha256
     }
@@ -273,7 +276,8 @@ impl Lock {
         self.differences_among(&now.files, |_| true)
     }
 
-    /// The differences between the files of this lock whose role `is_among` accepts, and `now`, which has all files of these roles.
+    /// The differences between the files of this lock whose role `is_among` accepts, and `now`, which has all files of
+    /// these roles.
     pub(crate) fn differences_among(&self, now: &[LockedFile], is_among: impl Fn(Kind) -> bool) -> Vec<Difference> {
         let find = |list: &'_ [LockedFile], file: &LockedFile| {
             list.iter().find(|f| (f.kind, &f.name) == (file.kind, &file.name)).cloned()

@@ -16,13 +16,13 @@ pub enum Kind {
     Overlay,
     /// A plugin.
     Plugin,
-    /// A shared library that a plugin needs, or a library that it needs in turn.
+    /// A shared library that a plugin needs, directly or not.
     Library,
     /// A program of the installation.
     Program,
     /// A neural network.
     Model,
-    /// Weights of a neural network in a file beside it.
+    /// Weights of a neural network in a file next to it.
     Weights,
     /// ONNX Runtime, which runs neural networks.
     Runtime,
@@ -30,7 +30,7 @@ pub enum Kind {
     Calibration,
     /// Another file that a node reads, such as the description of an arm or the names of classes.
     File,
-    /// Recorded pictures that a source reads instead of a camera.
+    /// Recorded images that a source reads instead of a camera.
     Input,
 }
 

@@ -17,7 +17,7 @@ use crate::loader::file_name::is_python;
 use crate::loader::plugin_file::{Loaded, PluginFile};
 use crate::loader::python::{self, Python};
 
-/// Reads a plugin's note without loading it.
+/// Reads a plugin's note without loading the plugin.
 pub fn inspect(file: &Path) -> Result<PluginFile, LoadError> {
     if is_python(file) {
         let (note, python) = python::inspect(file)?;
@@ -37,8 +37,8 @@ pub fn load(plugin: &PluginFile) -> Result<Loaded, LoadError> {
     load_verified(plugin, None)
 }
 
-/// As [`load`], but only if the copy has this SHA-256. The copy is sealed and then mapped: the bytes that were compared are those that run.
-/// Files that did not change are mapped once in a process.
+/// As [`load`], but only if the copy has this SHA-256. The copy is sealed and then mapped: the bytes that were compared
+/// are those that run. Unchanged files are mapped once per process.
 pub fn load_verified(plugin: &PluginFile, sha256: Option<&str>) -> Result<Loaded, LoadError> {
     let copy = copy_of(plugin, sha256)?;
     copy.loaded(Way::Mapped, || {
@@ -48,21 +48,22 @@ pub fn load_verified(plugin: &PluginFile, sha256: Option<&str>) -> Result<Loaded
     })
 }
 
-/// As [`load_verified`], for a plugin whose nodes all run in processes of their own: none of its code runs in this process. A process that is
-/// locked in maps the copy and describes it, within `limit`.
+/// As [`load_verified`], for a plugin whose nodes all run in separate processes: none of its code runs in this process.
+/// A confined process maps the copy and describes it within `limit`.
 pub fn describe_verified(plugin: &PluginFile, sha256: Option<&str>, limit: Duration) -> Result<Loaded, LoadError> {
     let copy = copy_of(plugin, sha256)?;
     let kept = plugin.python.as_ref().and_then(|python| python.kept_description(&plugin.file, &copy.path));
     copy.loaded(Way::Described(kept.clone()), || describe(plugin, &copy.path, limit, kept.as_deref()))
 }
 
-/// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified it.
+/// Loads a plugin from an image of its file, in a process of isolated nodes. The process that sent the image verified
+/// it.
 pub(crate) fn load_image(image: &Path, file: &Path) -> Result<Loaded, LoadError> {
     let PluginFile { note, .. } = inspect(image)?;
     map(&PluginFile { file: file.to_owned(), note, python: None }, image)
 }
 
-/// Asks a process of its own what a plugin offers.
+/// Asks a separate process what a plugin offers.
 fn describe(plugin: &PluginFile, image: &Path, limit: Duration, kept: Option<&Path>) -> Result<Loaded, LoadError> {
     let PluginFile { file, note, python } = plugin;
     let launch = python.as_ref().map(Python::launch).transpose();
@@ -84,7 +85,7 @@ fn describe(plugin: &PluginFile, image: &Path, limit: Duration, kept: Option<&Pa
     Ok(Loaded { plugin: plugin.clone(), node_types, entries })
 }
 
-/// What a node type of a plugin that another process loads says about parameters and wiring.
+/// Problems of parameters and wiring, reported by a node type that another process loads.
 fn problems(describer: &Describer, index: u32, setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
     let mut failure = None;
     let mut problems = problems_of(setup, |call| {
@@ -104,7 +105,7 @@ fn problems(describer: &Describer, index: u32, setup: &NodeSetup<'_>) -> Vec<Par
 /// The node types of a descriptor, for the catalogue and for the engine.
 ///
 /// # Safety
-/// The descriptor is a plugin's, or one like it: null, or valid until the process ends.
+/// The descriptor is null, or a plugin's descriptor that stays valid until the process ends.
 unsafe fn checked(
     descriptor: *const abi::Plugin,
     plugin: &PluginFile,

@@ -1,4 +1,5 @@
-//! Finds the shared libraries that a plugin needs, without loading anything: as the dynamic linker of glibc would.
+//! Finds the shared libraries that a plugin needs, without loading anything, with the search rules of glibc's dynamic
+//! linker.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
@@ -15,10 +16,10 @@ const DT_STRSZ: u64 = 10;
 const DT_RPATH: u64 = 15;
 const DT_RUNPATH: u64 = 29;
 
-/// Largest table that is read: those of real libraries have a few hundred kilobytes.
+/// Maximum size of a table, bytes; real libraries have a few hundred kilobytes.
 const MAX_TABLE: u64 = 64 << 20;
 
-/// What an ELF file says about the libraries it needs.
+/// Needed libraries in an ELF file.
 #[derive(Default)]
 struct Dynamic {
     needed: Vec<Vec<u8>>,
@@ -78,7 +79,7 @@ fn dynamic(path: &Path) -> Option<Dynamic> {
     Some(Dynamic { needed: all(DT_NEEDED).collect(), run_paths })
 }
 
-/// Where the dynamic linker searches: its variable, its cache and its folders.
+/// Search paths of the dynamic linker: its variable, its cache and its folders.
 struct Linker {
     variable: Vec<PathBuf>,
     cache: BTreeMap<Vec<u8>, PathBuf>,
@@ -143,8 +144,8 @@ pub fn library(name: &str) -> Option<PathBuf> {
     Linker::of_this_process().find(name.as_bytes(), None, &[])
 }
 
-/// All libraries that these files need, and those that they need in turn: name and file, in the order of the names. The file is `None`
-/// where the library is not found.
+/// All libraries that these files need, directly or not: name and file, sorted by name. The file is `None` where the
+/// library is not found.
 pub fn libraries<'f>(files: impl IntoIterator<Item = &'f Path>) -> BTreeMap<String, Option<PathBuf>> {
     let linker = Linker::of_this_process();
     let mut found = BTreeMap::new();

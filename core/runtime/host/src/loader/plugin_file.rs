@@ -15,7 +15,7 @@ pub struct PluginFile {
     pub file: PathBuf,
     /// The note in the file.
     pub note: Note,
-    /// The interpreter that runs it, if it is no library.
+    /// The interpreter that runs it, if it is not a library.
     pub python: Option<Python>,
 }
 

@@ -1,4 +1,4 @@
-//! Plugins that are Python files: which there are, what they offer by their text, and which interpreter runs them.
+//! Plugins that are Python files: finds them, reads their node types from the text and chooses the interpreter.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::loader::stamp::Stamp;
 
 /// Environment variable with the interpreter of plugins that name none.
 const PYTHON_VARIABLE: &str = "PANOSCOPE_PYTHON";
-/// Longest file that is looked at.
+/// Maximum length of a file that is read, bytes.
 const MAX_BYTES: u64 = 4 << 20;
 /// Module that runs the nodes.
 const MODULE: &str = "panoscope.child";
@@ -28,7 +28,7 @@ pub struct Python {
 }
 
 impl Python {
-    /// How to start it for a group of nodes.
+    /// Program and arguments to start it for a group of nodes.
     pub(crate) fn launch(&self) -> Result<Launch, NoPython> {
         if !self.interpreter.is_file() {
             return Err(NoPython::Interpreter { interpreter: self.interpreter.clone() });
@@ -41,8 +41,9 @@ impl Python {
         Ok(Launch { program: self.interpreter.clone(), arguments, environment })
     }
 
-    /// Where the description of a plugin is kept: named by everything that it may depend on. These are the file's bytes in `image`, its neighbours,
-    /// which it may import, the interpreter and the package; not what else is installed for the interpreter. `None` without a home.
+    /// Cache file for the description of a plugin. Its name depends on everything that the description may depend on:
+    /// the file's bytes in `image`, its neighbours, which it may import, the interpreter and the package; other
+    /// packages of the interpreter are ignored. `None` without a home folder.
     pub(crate) fn kept_description(&self, file: &Path, image: &Path) -> Option<PathBuf> {
         let mut hash = Sha256::new();
         hash.update(concat!(env!("CARGO_PKG_VERSION"), "\0"));
@@ -82,13 +83,14 @@ pub fn module(name: &str) -> Result<Command, NoPython> {
     Ok(command)
 }
 
-/// The user's folder for what can be made again.
+/// The user's cache folder.
 fn cache_folder() -> Option<PathBuf> {
     let variable = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|folder| folder.is_absolute());
     variable("XDG_CACHE_HOME").or_else(|| Some(variable("HOME")?.join(".cache")))
 }
 
-/// The folder with the Python package, for `PYTHONPATH`: beside the program, above it for tests, or in the `lib` of an installation.
+/// The folder with the Python package, for `PYTHONPATH`: next to the program, above it for tests, or in the `lib` of an
+/// installation.
 ///
 /// # Errors
 /// The installation has none.
@@ -102,7 +104,7 @@ pub fn package() -> Result<PathBuf, NoPython> {
     }
 }
 
-/// Files of a folder that a plugin in Python can import, in order.
+/// Files of a folder that a Python plugin can import, in order.
 fn code_in(folder: &Path) -> Vec<PathBuf> {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut files: Vec<PathBuf> =
@@ -111,7 +113,7 @@ fn code_in(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Reads what a Python file offers, without running it.
+/// Reads the node types of a Python file without running it.
 pub(crate) fn inspect(file: &Path) -> Result<(Note, Python), LoadError> {
     let unreadable = |cause| LoadError::Unreadable { file: file.to_owned(), cause };
     let nothing = || LoadError::NoNodes { file: file.to_owned() };
@@ -132,7 +134,7 @@ pub(crate) fn inspect(file: &Path) -> Result<(Note, Python), LoadError> {
     Ok((note, Python { interpreter: interpreter(folder, declared) }))
 }
 
-/// The interpreter that the file names, else that of an environment beside it, else the user's, else the system's.
+/// The interpreter that the file names, else that of an environment next to it, else the user's, else the system's.
 fn interpreter(folder: &Path, declared: Option<String>) -> PathBuf {
     let beside = folder.join(".venv/bin/python");
     match declared {
@@ -167,7 +169,8 @@ fn declared(text: &str) -> Result<Option<String>, NoPython> {
     Ok(python().map(str::to_owned))
 }
 
-/// Names of the node types of a file: of each class behind a decorator `@panoscope.node(...)`, under whatever name the package was imported.
+/// Names of the node types of a file: of each class behind a decorator `@panoscope.node(...)`, under whatever name the
+/// package was imported.
 fn node_types(text: &str) -> Vec<String> {
     let mut names = Vec::new();
     let mut decorator: Option<String> = None;
@@ -198,7 +201,8 @@ fn name_in(arguments: &str) -> Option<String> {
     rest[1..].split_once(quote).map(|(name, _)| name.to_owned())
 }
 
-/// As the package names classes: an underscore between a small letter or a digit and a capital one.
+/// Converts a class name as the package does: an underscore between a lower-case letter or digit and an upper-case
+/// letter.
 fn snake_case(class: &str) -> String {
     let mut name = String::new();
     let mut last = '_';

@@ -1,4 +1,4 @@
-//! Copies of files in memory that nobody can change: what was hashed is what is used.
+//! Immutable copies of files in memory, so that the hashed bytes are the bytes in use.
 
 use std::collections::BTreeMap;
 use std::ffi::CString;
@@ -26,7 +26,7 @@ impl Fingerprint {
         Self { bytes: bytes.len() as u64, sha256: hex(&Sha256::digest(bytes)) }
     }
 
-    /// The fingerprint of what an open file holds from its position on.
+    /// The fingerprint of an open file from its position on.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -48,7 +48,7 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// How long [`SealedWriter::seal`] waits for a file that is in use, and between two tries.
+/// Maximum wait of [`SealedWriter::seal`] for a file that is in use.
 const BUSY_LIMIT: Duration = Duration::from_secs(5);
 const BUSY_PAUSE: Duration = Duration::from_millis(10);
 
@@ -78,7 +78,7 @@ impl SealedWriter {
     /// An empty file. `name` is what debuggers and `/proc/PID/maps` show.
     ///
     /// # Errors
-    /// The system has no more file descriptors, or no memory files.
+    /// The system has run out of file descriptors or has no memory files.
     pub fn new(name: &Path) -> std::io::Result<Self> {
         let name = name.file_name().unwrap_or(name.as_os_str()).to_string_lossy();
         // The kernel takes at most 249 bytes.
@@ -109,7 +109,7 @@ impl SealedWriter {
         copy(file, &mut self.file)
     }
 
-    /// As [`Self::append_from`] for a file whose fingerprint nobody needs.
+    /// As [`Self::append_from`] without a fingerprint.
     ///
     /// # Errors
     /// As [`Self::append_file`].
@@ -125,8 +125,8 @@ impl SealedWriter {
         self.file.write_all(bytes)
     }
 
-    /// Ends writing: from here on the kernel refuses every change, also by this process. Waits while the kernel uses pages of the file, as it does
-    /// for moments on a busy machine.
+    /// Seals the file: the kernel then refuses every change, even by this process. Waits while the kernel uses pages of
+    /// the file, which happens briefly on a busy machine.
     ///
     /// # Errors
     /// The kernel refuses the seals, or the file is in use for longer than [`BUSY_LIMIT`].
@@ -147,7 +147,8 @@ impl SealedWriter {
     }
 }
 
-/// Path under which this process and its children open a file of this process. It is valid as long as the file stays open.
+/// Path under which this process and its children open a file of this process. It is valid as long as the file stays
+/// open.
 pub fn path_of(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd()))
 }
@@ -159,11 +160,12 @@ struct Kept {
     original: PathBuf,
 }
 
-/// The sealed copies by their contents. They stay open until the process ends, because a node may open its file again at any time.
+/// The sealed copies by their contents. They stay open until the process ends, because a node may reopen its file at
+/// any time.
 static KEPT: Mutex<BTreeMap<String, Kept>> = Mutex::new(BTreeMap::new());
 
-/// Keeps a sealed copy for the rest of the process, and returns its path. Equal `contents`, which name what the copy has, give the same path:
-/// a node whose file is unchanged keeps its parameters.
+/// Keeps a sealed copy for the rest of the process, and returns its path. `contents` identifies the content; equal
+/// `contents` give the same path: a node whose file is unchanged keeps its parameters.
 pub(crate) fn keep(contents: String, sealed: File, original: &Path) -> PathBuf {
     let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
     let entry = kept.entry(contents).or_insert_with(|| {
@@ -180,7 +182,7 @@ pub(crate) fn is_copy(path: &Path) -> bool {
     kept.values().any(|kept| kept.path == path)
 }
 
-/// A message with the names of files in place of the paths of their sealed copies, which tell a reader nothing.
+/// A message with the names of files in place of the paths of their sealed copies.
 pub fn readable(message: &str) -> String {
     let kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
     let mut copies: Vec<(String, String)> =

@@ -23,7 +23,7 @@ use crate::loader::map::{describe_verified, inspect, load_verified};
 use crate::loader::plugin_file::{Loaded, PluginFile};
 use crate::loader::stamp::Stamp;
 
-/// How long a plugin may take to load and to describe itself in another process.
+/// Time limit for a plugin to load and describe itself in another process.
 const MAX_DESCRIBE: Duration = Duration::from_secs(20);
 /// Environment variable with additional plugin folders, separated by colons.
 pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
@@ -31,26 +31,26 @@ pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
 /// A plugin, and whether it was described instead of loaded.
 type LoadKey = (String, bool);
 
-/// The plugins in a list of folders; loads each one when it is first needed.
+/// The plugins in a list of folders; loads each one on first use.
 #[derive(Default)]
 pub struct Loader {
     folders: Vec<PathBuf>,
     stamps: BTreeMap<PathBuf, Stamp>,
     found: BTreeMap<String, PluginFile>,
     problems: Vec<PluginProblem>,
-    /// See [`Catalog::passed_over`].
+    /// Files and folders that were skipped; see [`Catalog::passed_over`].
     passed_over: Vec<PluginProblem>,
-    /// Libraries with the name of a plugin's file that are no plugins.
+    /// Libraries named like a plugin's file that are not plugins.
     strangers: Vec<PluginProblem>,
-    /// SHA-256 of the plugins that may be loaded, by name; `None` where every plugin may.
+    /// SHA-256 of the plugins that may be loaded, by name; `None` if every plugin may.
     pins: Option<Arc<BTreeMap<String, String>>>,
     /// Folders whose plugins are found but not loaded.
     untrusted: Vec<PathBuf>,
-    /// Plugins that are not loaded but described by a process of their own, see [`Self::catalog_of`].
+    /// Plugins that are described by a separate process instead of loaded, see [`Self::catalog_of`].
     isolated: Mutex<BTreeSet<String>>,
     /// Plugins that this process never loads, whatever a graph says.
     never_loaded: BTreeSet<String>,
-    /// How long a plugin may take to describe itself, if not [`MAX_DESCRIBE`].
+    /// Maximum time for a plugin to describe itself, if not [`MAX_DESCRIBE`].
     describe_limit: Option<Duration>,
     loaded: Mutex<BTreeMap<LoadKey, Result<Loaded, PluginProblem>>>,
 }
@@ -68,7 +68,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The folders to search, in order: `extra`, `PANOSCOPE_PLUGIN_PATH`, `plugins` beside the program, and the build's folder for tests.
+/// The folders to search, in order: `extra`, `PANOSCOPE_PLUGIN_PATH`, `plugins` next to the program, and the build's
+/// folder for tests.
 pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
     let mut folders = extra.to_vec();
     if let Some(list) = std::env::var_os(PLUGIN_PATH_VARIABLE) {
@@ -91,7 +92,7 @@ pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
     unique
 }
 
-/// What is said of a folder that cannot be read, where the user named it.
+/// The problem of a folder that the user named and that cannot be read.
 fn unread_folder(folder: &Path, error: &std::io::Error) -> Option<PluginProblem> {
     let list = std::env::var_os(PLUGIN_PATH_VARIABLE)?;
     std::env::split_paths(&list).any(|named| named == folder).then(|| PluginProblem {
@@ -102,7 +103,7 @@ fn unread_folder(folder: &Path, error: &std::io::Error) -> Option<PluginProblem>
     })
 }
 
-/// Those of the folders that the user's own search path does not have.
+/// The folders that are not in the user's own search path.
 fn foreign(own: &[PathBuf]) -> Vec<PathBuf> {
     let real = |folder: &PathBuf| folder.canonicalize().unwrap_or_else(|_| folder.clone());
     let trusted: Vec<PathBuf> = search_path(&[]).iter().map(real).collect();
@@ -110,7 +111,8 @@ fn foreign(own: &[PathBuf]) -> Vec<PathBuf> {
 }
 
 impl Loader {
-    /// Searches the given folders; of two plugins with the same name the earlier folder's counts. Reads the notes but loads nothing.
+    /// Searches the given folders; of two plugins with the same name, the one in the earlier folder is used. Reads the
+    /// notes but loads nothing.
     pub fn search(folders: &[PathBuf]) -> Self {
         let mut this = Self { folders: folders.to_vec(), ..Self::default() };
         for folder in folders {
@@ -152,15 +154,17 @@ impl Loader {
         this
     }
 
-    /// As [`Self::search`] in the folders of [`search_path`] for a graph that names the folders `own`. Plugins in them are found, but not loaded,
-    /// unless the user's own search path has them too: whoever wrote the graph chose them.
+    /// As [`Self::search`] in the folders of [`search_path`] for a graph that names the folders `own`. Plugins in them
+    /// are found but not loaded, because the graph's author chose them, unless they are also in the user's own search
+    /// path.
     pub fn search_without_loading(own: &[PathBuf]) -> Self {
         let mut this = Self::search(&search_path(own));
         this.untrusted = foreign(own);
         this
     }
 
-    /// Plugins that were found in folders which the graph names and the user's own search path does not have: the author of the graph chose them.
+    /// Plugins that were found in folders that only the graph names, not the user's own search path, so that the
+    /// graph's author chose them.
     pub fn brought_by(&self, own: &[PathBuf]) -> Vec<String> {
         let foreign = foreign(own);
         let is_foreign =
@@ -168,22 +172,22 @@ impl Loader {
         self.found.values().filter(is_foreign).map(|found| found.note.name.clone()).collect()
     }
 
-    /// From here on only the plugins of a lock are loaded, and only from the bytes that were locked. Holds after [`Self::rescan`] too.
+    /// Restricts loading to the plugins of a lock, and to the locked bytes, also after [`Self::rescan`].
     #[must_use]
     pub fn pinned(mut self, files: &[LockedFile]) -> Self {
         self.pins = Some(Arc::new(depends::plugins_of(files)));
         self
     }
 
-    /// From here on a plugin may take this long to describe itself, where another process does that.
+    /// Sets the time limit for a plugin to describe itself in another process.
     #[must_use]
     pub fn describing_within(mut self, limit: Duration) -> Self {
         self.describe_limit = Some(limit);
         self
     }
 
-    /// From here on plugins that were found in folders which only the graph names are described by processes of their own and never loaded into
-    /// this one. Holds after [`Self::rescan`] too. Their nodes run if the graph isolates them, see [`Graph::isolate_plugins`].
+    /// Makes plugins in folders that only the graph names be described by separate processes and never loaded into this
+    /// one, also after [`Self::rescan`]. Their nodes run if the graph isolates them, see [`Graph::isolate_plugins`].
     #[must_use]
     pub fn isolating(mut self, own: &[PathBuf]) -> Self {
         self.never_loaded.extend(self.brought_by(own));
@@ -195,7 +199,7 @@ impl Loader {
         *lock(&self.isolated) = plugins.into_iter().chain(self.never_loaded.iter().cloned()).collect();
     }
 
-    /// The SHA-256 that a plugin must have; `None` where any will do.
+    /// The SHA-256 that a plugin must have; `None` for any.
     fn pin_of(&self, found: &PluginFile) -> Result<Option<&str>, PluginProblem> {
         let problem = |message: String, help: &str| PluginProblem {
             plugin: found.note.name.clone(),
@@ -218,8 +222,8 @@ impl Loader {
         }
     }
 
-    /// Searches the same folders again. Plugins whose files are unchanged stay loaded; the others are loaded again when they are needed,
-    /// beside their predecessors.
+    /// Searches the same folders again. Plugins whose files are unchanged stay loaded; the others are reloaded on
+    /// demand, next to their predecessors.
     pub fn rescan(&self) -> Self {
         self.rescan_in(&self.folders)
     }
@@ -277,7 +281,8 @@ impl Loader {
         self.found.values().filter(|f| f.note.node_types.iter().any(|n| n == node_type)).collect()
     }
 
-    /// Loads a plugin, or has it described if its nodes all run in processes of their own; a second call returns the result of the first.
+    /// Loads a plugin, or has it described if its nodes all run in separate processes; a second call returns the first
+    /// result.
     pub fn load(&self, plugin: &str) -> Result<Loaded, PluginProblem> {
         let is_python = self.found.get(plugin).is_some_and(|found| found.python.is_some());
         let is_isolated = is_python || lock(&self.isolated).contains(plugin);
@@ -301,7 +306,7 @@ impl Loader {
         result
     }
 
-    /// What the plugins that were found offer, from their notes.
+    /// Node types of all plugins found, from their notes.
     pub fn offers(&self) -> Vec<Offer> {
         let offer = |(plugin, found): (&String, &PluginFile)| Offer {
             plugin: plugin.clone(),
@@ -315,8 +320,9 @@ impl Loader {
         text.isolated_plugins(&self.offers())
     }
 
-    /// The catalogue for a graph's text, as [`Self::catalog`] with its plugins. From here on plugins whose nodes all run in processes of their own,
-    /// see [`GraphText::isolated_plugins`], are not loaded into this process: another process describes them.
+    /// The catalogue for a graph's text, as [`Self::catalog`] with its plugins. Plugins whose nodes all run in separate
+    /// processes, see [`GraphText::isolated_plugins`], are then not loaded into this process: another process describes
+    /// them.
     pub fn catalog_of(&self, text: &GraphText) -> Catalog {
         self.set_isolated(self.isolated_plugins(text));
         self.catalog(&text.plugins())

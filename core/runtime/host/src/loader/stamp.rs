@@ -1,4 +1,4 @@
-//! Whether a file has changed.
+//! Detects changes of files.
 
 use std::path::Path;
 

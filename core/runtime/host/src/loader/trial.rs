@@ -1,7 +1,8 @@
-//! Models from elsewhere are opened in a process of their own first: a file that exhausts memory, never ends or crashes its reader does so there.
+//! Foreign models are first opened in a separate process, so that a file that exhausts memory, hangs or crashes its
+//! reader does so there.
 //!
-//! The process is that of a group of isolated nodes with one node in it. A run, a window and a live change try a model before they open it, also
-//! where the node is isolated, because a group has other nodes; `panoscope check` only tries it.
+//! The process is that of a group of isolated nodes with one node in it. A run, a window and a live change open a model
+//! on trial first, also for an isolated node, because its group has other nodes; `panoscope check` does only the trial.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,7 +16,7 @@ pub use crate::loader::foreign_models::is_model;
 use crate::loader::foreign_models::limits;
 use crate::loader::search::Loader;
 
-/// Plugins whose nodes open without a trial, because they are on one.
+/// Plugins whose nodes open without a trial, because they are part of one.
 struct OnTrial<'a>(&'a Loader);
 
 impl Plugins for OnTrial<'_> {
@@ -32,7 +33,7 @@ impl Plugins for OnTrial<'_> {
     }
 }
 
-/// Opens one node of a checked graph in a process of its own, and closes it there. `graph_dir` is the folder of the graph.
+/// Opens one node of a checked graph in a separate process and closes it there. `graph_dir` is the folder of the graph.
 ///
 /// # Errors
 /// The node's message, or how its process ended.

@@ -1,10 +1,11 @@
-//! Opens a graph under its lock: nothing of it is used before it was compared, and what was compared is what is used.
+//! Opens a graph under its lock: nothing is used before it is compared, and the compared bytes are the bytes in use.
 //!
-//! The order is what keeps the promise:
+//! The order guarantees this:
 //!
-//! 1. The graph's files, the plugins, their libraries and the programs are compared on disk. No code of a plugin has run so far.
-//! 2. The plugins are loaded, each from a sealed copy whose hash is compared once more before it is mapped. Now their node types say which
-//!    parameters name files.
+//! 1. The graph's files, the plugins, their libraries and the programs are compared on disk. No code of a plugin has
+//!    run so far.
+//! 2. The plugins are loaded, each from a sealed copy whose hash is compared once more before it is mapped. Now their
+//!    node types say which parameters name files.
 //! 3. Those files are copied into sealed memory, and the copies are compared. ONNX Runtime is loaded from its copy.
 //! 4. Nodes get the paths of the copies instead of those of the files, whenever they open.
 
@@ -21,7 +22,7 @@ use crate::loader::locked_file::{Kind, LockedFile};
 use crate::loader::sealed::{self, Fingerprint, SealedWriter};
 use crate::loader::search::{Loader, search_path};
 
-/// Why a graph was not opened under its lock.
+/// A graph that was not opened under its lock.
 #[derive(Debug, thiserror::Error)]
 pub enum VerifyError {
     /// Files differ from the lock.
@@ -35,21 +36,21 @@ pub enum VerifyError {
     Runtime(String),
 }
 
-/// A graph whose code and files are as they were locked.
+/// A graph whose code and files match its lock.
 pub struct Verified {
     /// The graph; [`Seal::apply`] makes its nodes read the sealed copies.
     pub graph: Graph,
     /// Node types of its plugins.
     pub catalog: Catalog,
-    /// Its plugins; loads no others.
+    /// Loader of its plugins and no others.
     pub loader: Loader,
-    /// What was odd but not wrong.
+    /// Warnings of the check.
     pub warnings: Diagnostics,
     /// The files that its nodes may read.
     pub seal: Arc<Seal>,
 }
 
-/// A graph would read a file that its lock does not have, or that is not as it was locked.
+/// A graph would read a file that is not in its lock or differs from it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{param}` of `{node}` names {file}, which {reason}", file = file.display())]
 pub struct NotLocked {
@@ -59,11 +60,11 @@ pub struct NotLocked {
     pub param: String,
     /// The file.
     pub file: PathBuf,
-    /// Why it is not read and what to do: continues a sentence about the file.
+    /// Continuation of a sentence about the file: why it is not read and what to do.
     pub reason: &'static str,
 }
 
-/// The files that the nodes of a verified graph may read, each a copy in memory that nobody can change.
+/// The files that the nodes of a verified graph may read, each an immutable copy in memory.
 #[derive(Debug, Default)]
 pub struct Seal {
     files: Mutex<SealedFiles>,
@@ -74,17 +75,17 @@ pub struct Seal {
 struct SealedFiles {
     /// Paths of the copies by the files they were made of, under each of [`names_of`].
     copies: BTreeMap<PathBuf, PathBuf>,
-    /// Files that were compared and are read from disk: recorded pictures, which may be larger than the memory.
+    /// Files that were compared and are read from disk: recorded images, which may be larger than the memory.
     inputs: BTreeSet<PathBuf>,
-    /// Files that were not as they were locked; they are compared again when a graph is to read them.
+    /// Files that differed from the lock; they are compared again when a graph reads them.
     withheld: Vec<DataFile>,
-    /// What the lock says of files, where some are withheld.
+    /// Files of the lock, if some are withheld.
     locked: Vec<LockedFile>,
 }
 
 impl Seal {
-    /// Copies files into sealed memory. Returns the fingerprints of what was copied, in the same order, empty for a file that cannot be read; and
-    /// the copy of ONNX Runtime, if it is among them.
+    /// Copies files into sealed memory. Returns the fingerprints of the copies in the same order, empty for an
+    /// unreadable file; and the copy of ONNX Runtime, if it is among them.
     pub fn of(files: &[DataFile], folder: &Path) -> (Self, Vec<LockedFile>, Option<PathBuf>) {
         let mut seal = SealedFiles::default();
         let (mut locked, mut runtime) = (Vec::with_capacity(files.len()), None);
@@ -120,7 +121,7 @@ impl Seal {
         (Self { files: Mutex::new(seal), folder: folder.to_owned() }, locked.collect(), runtime)
     }
 
-    /// Withholds the files that are not as the lock says; `now` has the fingerprints of `files`.
+    /// Withholds the files that differ from the lock; `now` has the fingerprints of `files`.
     fn withhold(&mut self, files: &[DataFile], now: &[LockedFile], lock: &Lock) {
         let sealed = self.files.get_mut().unwrap_or_else(PoisonError::into_inner);
         let differs = |name: &str| {
@@ -140,7 +141,8 @@ impl Seal {
     /// Makes the nodes of a graph read the sealed copies of their files.
     ///
     /// # Errors
-    /// A parameter names a file that was not compared with the lock or differs from it; the graph is then not to be used.
+    /// A parameter names a file that was not compared with the lock or differs from it; the graph must then not be
+    /// used.
     pub fn apply(&self, graph: &mut Graph, catalog: &Catalog) -> Result<(), NotLocked> {
         let mut files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
         files.compare_withheld(&self.folder);
@@ -149,7 +151,7 @@ impl Seal {
 }
 
 impl SealedFiles {
-    /// Seals withheld files that are by now as they were locked.
+    /// Seals withheld files that match the lock by now.
     fn compare_withheld(&mut self, folder: &Path) {
         for file in std::mem::take(&mut self.withheld) {
             let group = file.clone().with_weights();
@@ -164,7 +166,7 @@ impl SealedFiles {
         }
     }
 
-    /// What a node reads for a file: its copy; the file itself where it was only compared, or is a copy already.
+    /// Path that a node reads for a file: its copy, or the file itself if it was only compared or is already a copy.
     fn path_for(&self, file: &Path) -> Option<PathBuf> {
         if let Some(copy) = names_of(file).find_map(|name| self.copies.get(&name).cloned()) {
             return Some(copy);
@@ -214,8 +216,8 @@ impl SealedFiles {
     }
 }
 
-/// The names under which a file is known: absolute without `.` and `..`, and with links followed. The first also finds the copy of a file that
-/// was removed or replaced since.
+/// The names under which a file is known: absolute without `.` and `..`, and with links followed. The first also finds
+/// the copy of a file that was removed or replaced since.
 fn names_of(file: &Path) -> impl Iterator<Item = PathBuf> {
     let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     let mut plain = PathBuf::new();
@@ -230,7 +232,8 @@ fn names_of(file: &Path) -> impl Iterator<Item = PathBuf> {
     std::iter::once(plain).chain(real)
 }
 
-/// Copies a file, or a model with the files of its weights, into sealed memory; returns the copy's path and the fingerprint of each file.
+/// Copies a file, or a model with the files of its weights, into sealed memory; returns the copy's path and the
+/// fingerprint of each file.
 fn copy(group: &[DataFile]) -> std::io::Result<(PathBuf, Vec<Fingerprint>)> {
     let mut writer = SealedWriter::new(&group[0].path)?;
     let mut fingerprints = vec![writer.append_file(&group[0].path)?];
@@ -249,7 +252,7 @@ fn copy(group: &[DataFile]) -> std::io::Result<(PathBuf, Vec<Fingerprint>)> {
     Ok((sealed::keep(contents.join("\0"), writer.seal()?, &group[0].path), fingerprints))
 }
 
-/// Loads ONNX Runtime from its sealed copy, before a node does from its file: nodes use the one that is loaded.
+/// Loads ONNX Runtime from its sealed copy, before a node loads the file itself; nodes use the loaded one.
 fn load_runtime(copy: &Path) -> Result<(), VerifyError> {
     // SAFETY: this runs the library's constructors; its bytes were compared with the lock, whose author answers for them.
     let library = unsafe { libloading::os::unix::Library::open(Some(copy), libc::RTLD_NOW | libc::RTLD_LOCAL) };
@@ -257,8 +260,8 @@ fn load_runtime(copy: &Path) -> Result<(), VerifyError> {
     library.map(std::mem::forget).map_err(|error| VerifyError::Runtime(error.to_string()))
 }
 
-/// The plugins that may run before a graph is opened, to ask for its arguments: those of its lock, or none where a plugin or library of the graph
-/// differs from it. Parts and overlays may still be missing, so they are not compared.
+/// The plugins that may run before a graph is opened, to list its arguments: those of its lock, or none if a plugin or
+/// library differs from it. Parts and overlays may still be missing, so they are not compared.
 pub fn loader_before_opening(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Loader {
     let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
     let mut now = depends::code(text, loader.found(), extra_plugins);
@@ -269,8 +272,8 @@ pub fn loader_before_opening(text: &GraphText, lock: &Lock, extra_plugins: &[&st
     }
 }
 
-/// Opens a graph under its lock once more, after an earlier process did: loads its plugins, and seals the files that are as they were locked. A graph
-/// that reads another file is refused until that one is as it was locked, too.
+/// Reopens a graph under its lock after an earlier process opened it: loads its plugins and seals the files that match
+/// the lock. A graph that reads a file that differs is refused until that file matches.
 ///
 /// # Errors
 /// Code or ONNX Runtime differs from the lock, or the graph has mistakes.
@@ -297,7 +300,7 @@ pub fn reopen(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<(
     Ok((loader, Arc::new(seal)))
 }
 
-/// The plugins of a graph whose code is as it was locked; none was loaded yet.
+/// The plugins of a graph whose code matches the lock; none is loaded yet.
 fn locked_code(text: &GraphText, lock: &Lock, extra_plugins: &[&str]) -> Result<Loader, VerifyError> {
     let loader = Loader::search(&search_path(&text.plugin_paths())).pinned(&lock.files);
     same_files(lock, &depends::code(text, loader.found(), extra_plugins), Kind::is_code)?;
@@ -318,7 +321,7 @@ fn without_checks(catalog: &Catalog) -> Catalog {
     unasked
 }
 
-/// Opens a graph under its lock. `extra_plugins` are those that the lock has besides the graph's own.
+/// Opens a graph under its lock. `extra_plugins` are plugins in the lock in addition to the graph's own.
 ///
 /// # Errors
 /// See [`VerifyError`]. Where files of step 1 differ, no plugin was loaded.

@@ -1,4 +1,5 @@
-//! Where the time of a picture goes: the chain of calls that its sink waited for, from the end of the source's call to the end of the sink's.
+//! Time budget of a frame: the chain of calls that its sink waited for, from the end of the source's call to the end of
+//! the sink's.
 
 use std::collections::HashMap;
 
@@ -7,25 +8,25 @@ use panoscope_graph::{Align, Graph};
 
 use super::{Call, Calls};
 
-/// What one node takes of the time of a picture, means over all pictures.
+/// Time that one node takes per frame, means over all frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Share {
     /// The node.
     pub node: String,
-    /// Share of the pictures on whose chain it is, 0..1.
+    /// Share of frames whose chain contains it, 0..1.
     pub on_chain: f64,
-    /// From the last of its inputs to its start, ms: its thread was busy with something else, or it was handed over.
+    /// Mean time from its last input to its start, ms: its thread was busy, or the work was handed to another thread.
     pub wait_ms: f64,
     /// Time of its calls, ms.
     pub work_ms: f64,
 }
 
-/// The time of a picture at one sink.
+/// Time budget of a frame at one sink.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Budget {
     /// The sink.
     pub sink: String,
-    /// Pictures that it took.
+    /// Frames that it received.
     pub pictures: usize,
     /// Mean time from the end of the source's call to the end of the sink's, ms; the sum of all shares.
     pub total_ms: f64,
@@ -33,7 +34,7 @@ pub struct Budget {
     pub shares: Vec<Share>,
 }
 
-/// What was added up for a node.
+/// Sums for a node.
 #[derive(Clone, Copy, Default)]
 struct Sum {
     pictures: usize,
@@ -41,12 +42,13 @@ struct Sum {
     work_ns: u64,
 }
 
-/// The nodes of a graph in its order, each with the nodes that it waits for: those of its inputs that are of the same tick and not delayed.
+/// The nodes of a graph in its order, each with the nodes that it waits for: the producers of its inputs of the same
+/// tick without delay.
 #[derive(Clone, Debug, Default)]
 pub struct Waits(Vec<(String, Vec<String>)>);
 
 impl Waits {
-    /// What the nodes of a graph wait for.
+    /// The nodes of a graph and what they wait for.
     pub fn of(graph: &Graph) -> Self {
         let id = |node: usize| graph.nodes[node].id.clone();
         let producers = |node: usize| {
@@ -79,7 +81,7 @@ impl Waits {
 }
 
 impl Budget {
-    /// The budget of the pictures that `sink` took; `None` where it took none that are still in the timeline from their source on.
+    /// The budget of the frames that `sink` received; `None` if the timeline has none of them from the source on.
     pub fn of(calls: &Calls, waits: &Waits, sink: &str) -> Option<Self> {
         let positions: Vec<Option<usize>> = calls.nodes.iter().map(|node| waits.position(node)).collect();
         let producers = waits.producers();
@@ -152,7 +154,7 @@ fn chain(of_tick: &HashMap<usize, Call>, producers: &[Vec<usize>], sink: usize) 
     }
 }
 
-/// What each node read and made per picture, MB, and how long each thread was in calls: two tables.
+/// Two tables: MB that each node read and made per frame, and the time of each thread in calls.
 pub fn work_tables(calls: &Calls, pictures: u64) -> [String; 2] {
     let per_picture = 1e6 * pictures.max(1) as f64;
     let mut bytes = vec![(0_u64, 0_u64, 0_u64); calls.nodes.len()];

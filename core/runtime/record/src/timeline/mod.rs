@@ -1,4 +1,4 @@
-//! What each thread did and when: the calls of a run, as a file for the viewer of Perfetto and as a budget of the time of a picture.
+//! Timeline of the calls of a run by thread, as a file for the Perfetto viewer and as a time budget per frame.
 
 mod budget;
 mod perfetto;
@@ -15,9 +15,9 @@ pub use budget::{Budget, Share, Waits, work_tables};
 pub use perfetto::write;
 pub use simulate::Recorded;
 
-/// Calls that are kept by default: the newest. One takes 72 bytes.
+/// Default number of newest calls that are kept, 72 bytes each.
 const CALLS: usize = 1 << 20;
-/// Dropped ticks that are kept by default: the newest.
+/// Default number of newest dropped ticks that are kept.
 const DROPS: usize = 1 << 16;
 
 /// One call of a node, or a tick that it skipped. Times are ns of [`panoscope_engine::clock::now_ns`].
@@ -27,15 +27,15 @@ pub struct Call {
     pub node: u32,
     /// Position in [`Calls::threads`].
     pub thread: u32,
-    /// Slot of the tick's source, and its number.
+    /// Slot of the tick's source.
     pub source: u32,
-    /// See `source`.
+    /// Number of the tick.
     pub seq: u64,
-    /// When it began.
+    /// Begin of the call.
     pub start_ns: u64,
-    /// When it ended.
+    /// End of the call.
     pub end_ns: u64,
-    /// False where the node was skipped or failed.
+    /// False if the node was skipped or failed.
     pub made: bool,
     /// Bytes of its inputs.
     pub read_bytes: u64,
@@ -43,7 +43,7 @@ pub struct Call {
     pub made_bytes: u64,
 }
 
-/// A tick that was dropped where it would have entered.
+/// A tick that was dropped at the head of its region.
 #[derive(Clone, Copy, Debug)]
 pub struct Dropped {
     /// The node, a position in [`Calls::nodes`].
@@ -54,14 +54,14 @@ pub struct Dropped {
     pub at_ns: u64,
 }
 
-/// What a timeline holds.
+/// Content of a timeline.
 #[derive(Clone, Debug, Default)]
 pub struct Calls {
     /// Names of the nodes.
     pub nodes: Vec<Arc<str>>,
     /// Names of the threads.
     pub threads: Vec<String>,
-    /// Calls, by their ends.
+    /// Calls in the order of their ends.
     pub calls: VecDeque<Call>,
     /// Dropped ticks.
     pub drops: VecDeque<Dropped>,
@@ -90,7 +90,8 @@ impl Calls {
     }
 }
 
-/// Keeps the newest calls and dropped ticks of a run: by default about a million calls, which is several minutes of a large graph.
+/// Keeps the newest calls and dropped ticks of a run: by default about a million calls, which is several minutes of a
+/// large graph.
 #[derive(Debug)]
 pub struct Timeline {
     calls: Mutex<Calls>,
@@ -105,14 +106,14 @@ impl Default for Timeline {
 }
 
 impl Timeline {
-    /// Keeps so many calls and dropped ticks.
+    /// A timeline that keeps `max_calls` calls and `max_drops` dropped ticks.
     pub fn with_room(max_calls: usize, max_drops: usize) -> Self {
         // Reserved at once, because it is filled between two nodes.
         let (calls, drops) = (VecDeque::with_capacity(max_calls), VecDeque::with_capacity(max_drops));
         Self { calls: Mutex::new(Calls { calls, drops, ..Calls::default() }), max_calls, max_drops }
     }
 
-    /// A copy of what it holds now.
+    /// A copy of the current content.
     pub fn snapshot(&self) -> Calls {
         lock(&self.calls).clone()
     }

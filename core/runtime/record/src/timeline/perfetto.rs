@@ -1,6 +1,8 @@
-//! The timeline as a file in the format of Chrome's trace events, which <https://ui.perfetto.dev> and `chrome://tracing` open.
+//! The timeline as a file in the format of Chrome's trace events, which <https://ui.perfetto.dev> and
+//! `chrome://tracing` open.
 //!
-//! Each thread is a row, each call a slice with its tick and bytes; arrows follow a tick from call to call; dropped ticks are marks.
+//! Each thread is a row, each call a slice with its tick and bytes; arrows follow a tick from call to call; dropped
+//! ticks are marks.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

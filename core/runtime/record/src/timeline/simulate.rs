@@ -1,8 +1,9 @@
-//! The recorded calls of a run, scheduled on a machine with another number of cores.
+//! Simulates the recorded calls of a run on a machine with another number of cores.
 //!
-//! A call starts when the calls of its tick that it waits for and its node's call of the tick before have ended and a core is free; the oldest tick goes
-//! first, then the order of the graph. A source starts a tick when fewer than so many are in flight. Two things are left out: a call is not divided
-//! among cores, which several nodes do, so that the answer is a lower bound; and memory is as fast for many cores as for one.
+//! A call starts when the calls of its tick that it waits for and its node's previous call have ended and a core is
+//! free; the oldest tick goes first, then the order of the graph. A source starts a tick while fewer ticks than a limit
+//! are in flight. Two things are left out: a call is not divided among cores, which several nodes do, so that the
+//! answer is a lower bound; and memory is as fast for many cores as for one.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap};
@@ -15,13 +16,13 @@ struct Job {
     tick: usize,
     node: usize,
     work_ns: u64,
-    /// Calls that have to end before it starts.
+    /// Number of calls that must end before it starts.
     needs: usize,
     /// Calls that wait for it.
     readers: Vec<usize>,
 }
 
-/// Calls of whole ticks, with what each waits for.
+/// Calls of complete ticks, each with the calls that it waits for.
 #[derive(Clone, Debug, Default)]
 pub struct Recorded {
     jobs: Vec<Job>,
@@ -31,7 +32,7 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    /// The ticks of the busiest source of which all calls are still in the timeline; `None` where there are fewer than two.
+    /// The ticks of the busiest source whose calls are all in the timeline; `None` if there are fewer than two.
     pub fn of(calls: &Calls, waits: &Waits) -> Option<Self> {
         let positions: Vec<Option<usize>> = calls.nodes.iter().map(|node| waits.position(node)).collect();
         let producers = waits.producers();
@@ -74,7 +75,7 @@ impl Recorded {
         (found.sources.len() > 1).then_some(found)
     }
 
-    /// Pictures a second on `cores` cores with at most `in_flight` ticks between source and sinks.
+    /// Frames per second on `cores` cores with at most `in_flight` ticks between source and sinks.
     pub fn pictures_per_s(&self, cores: usize, in_flight: usize) -> f64 {
         let (cores, in_flight) = (cores.max(1), in_flight.max(1));
         let mut needs: Vec<usize> = self.jobs.iter().map(|job| job.needs).collect();
@@ -117,12 +118,12 @@ impl Recorded {
         (self.sources.len() - counted_from) as f64 / ((now - begun_ns).max(1) as f64 / 1e9)
     }
 
-    /// Work of all calls of a tick, mean, ms.
+    /// Mean work of all calls of a tick, ms.
     pub fn work_ms(&self) -> f64 {
         self.jobs.iter().map(|job| job.work_ns).sum::<u64>() as f64 / 1e6 / self.sources.len() as f64
     }
 
-    /// The node with the most work, and its work per tick, ms: no number of cores makes more pictures than that node alone.
+    /// The node with the most work, and its work per tick, ms: no number of cores can exceed that node's own rate.
     pub fn busiest(&self) -> Option<(&str, f64)> {
         let mut sums = vec![0u64; self.nodes.len()];
         self.jobs.iter().for_each(|job| sums[job.node] += job.work_ns);

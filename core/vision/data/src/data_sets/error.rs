@@ -1,11 +1,11 @@
-//! Why there is no sequence.
+//! Errors of the search for sequences.
 
 use std::path::PathBuf;
 
-/// Names that a message lists.
+/// Maximum number of names in a message.
 const LISTED: usize = 12;
 
-/// Why there is no sequence.
+/// A sequence that was not found.
 #[derive(Debug, thiserror::Error)]
 pub enum DataSetError {
     /// The folder does not exist.
@@ -24,7 +24,7 @@ pub enum DataSetError {
     },
     /// No known layout.
     #[error(
-        "{folder} holds no data set of a known layout ({known}){remarks}; `panoscope import {folder}` shows what is looked for",
+        "{folder} has no data set of a known layout ({known}){remarks}; `panoscope import {folder}` lists the searched files",
         folder = folder.display(),
         remarks = in_words(remarks)
     )]
@@ -33,7 +33,7 @@ pub enum DataSetError {
         folder: PathBuf,
         /// Names of the known layouts.
         known: String,
-        /// What stands in the way.
+        /// Obstacles found in the folder.
         remarks: Vec<String>,
     },
     /// No sequence of that name.
@@ -41,9 +41,9 @@ pub enum DataSetError {
     NoSequence {
         /// The folder.
         folder: PathBuf,
-        /// The name asked for.
+        /// The requested name.
         name: String,
-        /// The names that are there.
+        /// The existing names.
         names: Vec<String>,
     },
 }

@@ -7,21 +7,21 @@ use crate::calibration::pictures::{self, is_image};
 
 use crate::data_sets::error::DataSetError;
 
-/// Endings of packed files.
+/// Extensions of packed files.
 const PACKED: [&str; 6] = [".zip", ".tar", ".tar.gz", ".tgz", ".7z", ".rar"];
 
 /// A folder and the names in it.
 #[derive(Debug)]
 pub(crate) struct Folder {
     pub path: PathBuf,
-    /// Path below the folder that is searched, `/` between its parts; empty for that folder itself.
+    /// Path below the searched folder, `/` between its parts; empty for that folder itself.
     pub name: String,
     files: Vec<String>,
     folders: Vec<String>,
 }
 
 impl Folder {
-    /// Lists the names; those that are no UTF-8 are left out.
+    /// Lists the names; names that are not UTF-8 are left out.
     pub fn read(path: &Path, name: String) -> Result<Self, DataSetError> {
         let unreadable = |cause| DataSetError::Unreadable { path: path.to_owned(), cause };
         let (mut files, mut folders) = (Vec::new(), Vec::new());
@@ -51,7 +51,7 @@ impl Folder {
         if self.name.is_empty() { inner.to_owned() } else { format!("{}/{inner}", self.name) }
     }
 
-    /// Name of a sequence that is the folder itself.
+    /// Name of the sequence for the folder itself.
     pub fn sequence_name(&self) -> String {
         if self.name.is_empty() { self.own_name() } else { self.name.clone() }
     }
@@ -66,7 +66,7 @@ impl Folder {
         self.files.iter().any(|name| name == file)
     }
 
-    /// The path of the first of these files that is there.
+    /// The path of the first of these files that exists.
     pub fn first(&self, files: &[&str]) -> Option<PathBuf> {
         files.iter().find(|file| self.has(file)).map(|file| self.at(file))
     }
@@ -79,7 +79,7 @@ impl Folder {
         self.files.iter().map(String::as_str)
     }
 
-    /// Folders inside that may hold data: not hidden ones, nor those that archives of other systems leave behind.
+    /// Folders inside that may hold data, without hidden ones and leftovers of other systems' archives.
     pub fn folders(&self) -> impl Iterator<Item = &str> {
         self.folders.iter().map(String::as_str).filter(|name| !name.starts_with(['.', '_']))
     }
@@ -90,33 +90,33 @@ impl Folder {
         self.files.iter().filter(is_packed).map(|name| self.name_of(name))
     }
 
-    /// Pictures of a folder inside, in the order of their numbers.
+    /// Images of a folder inside, in the order of their numbers.
     pub fn pictures(&self, inner: &str) -> Vec<PathBuf> {
         pictures_in(&self.at(inner))
     }
 }
 
-/// Pictures of a folder, in the order of their numbers; none where it cannot be read.
+/// Images of a folder, in the order of their numbers; empty if it cannot be read.
 pub(crate) fn pictures_in(folder: &Path) -> Vec<PathBuf> {
     pictures::image_files(&folder.join("*")).unwrap_or_default()
 }
 
-/// Files of a folder that `fits` takes, in the order of their numbers.
+/// Files of a folder that `fits` accepts, in the order of their numbers.
 pub(crate) fn files_in(folder: &Path, fits: impl Fn(&Path) -> bool) -> Vec<PathBuf> {
     pictures::numbered_files(&folder.join("*"), "file", fits).unwrap_or_default()
 }
 
-/// Name without its ending.
+/// Name without its extension.
 pub(crate) fn stem(path: &Path) -> String {
     path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }
 
-/// Files by their names without ending.
+/// Files by their names without extension.
 pub(crate) fn by_stem(files: &[PathBuf]) -> BTreeMap<String, &PathBuf> {
     files.iter().map(|file| (stem(file), file)).collect()
 }
 
-/// For each picture the file of its name.
+/// For each image the file of its name.
 pub(crate) fn matching(pictures: &[PathBuf], files: &[PathBuf]) -> Vec<Option<PathBuf>> {
     let by_stem = by_stem(files);
     pictures.iter().map(|picture| by_stem.get(&stem(picture)).map(|file| (*file).clone())).collect()
@@ -137,7 +137,7 @@ pub(crate) fn paired(left: &[PathBuf], right: &[PathBuf]) -> (Vec<PathBuf>, Vec<
     (lefts, rights, remark)
 }
 
-/// Whether a name is that of a picture.
+/// Whether a name is that of an image.
 pub(crate) fn is_picture(name: &str) -> bool {
     is_image(Path::new(name))
 }

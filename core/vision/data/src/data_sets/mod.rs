@@ -1,8 +1,8 @@
-//! Folder layouts of public data sets: which pictures, calibration, truth and labels belong together.
+//! Folder layouts of public data sets: which images, calibration, ground truth and labels belong together.
 //!
-//! [`find`] looks through a folder and lists its [`Sequence`]s; nothing is unpacked and no picture is decoded. Files are read one by one later:
-//! calibrations by [`CalibrationFiles::read`], maps, points, masks and boxes by `crate::truth`. Each file in `layouts` describes one data set and
-//! names its source. Nothing here knows a graph.
+//! [`find`] searches a folder and lists its [`Sequence`]s; nothing is unpacked and no image is decoded. Files are
+//! read later: calibrations by [`CalibrationFiles::read`], maps, points, masks and boxes by `crate::truth`. Each file
+//! in `layouts` describes one data set and names its source. This module does not know graphs.
 
 #![forbid(unsafe_code)]
 
@@ -20,19 +20,19 @@ use folder::Folder;
 pub use layouts::{KNOWN, Known};
 pub use sequence::{CalibrationFiles, Holds, Labels, MaskFile, MaskLayer, Masks, Pictures, Sequence, Stacked, Truth};
 
-/// Levels of folders below the given one that are searched: archives often repeat the name of the data set in a folder of their own.
+/// Levels of folders below the given one that are searched: archives often add a folder with the name of the data set.
 pub const MAX_LEVELS: usize = 4;
 /// Maximum number of folders that are searched.
 const MAX_FOLDERS: usize = 20_000;
-/// Packed files that a remark lists.
+/// Maximum number of packed files in a remark.
 const LISTED: usize = 5;
 
-/// What a folder holds.
+/// Content of a folder.
 #[derive(Clone, Debug, Default)]
 pub struct Found {
     /// The sequences, in the order of their names.
     pub sequences: Vec<Sequence>,
-    /// What stands in the way of finding more.
+    /// Obstacles to finding more.
     pub remarks: Vec<String>,
     /// Number of folders that were searched.
     pub folders: usize,
@@ -68,7 +68,7 @@ impl Found {
 /// A folder that a layout claims is not searched further. Hidden folders are skipped.
 ///
 /// # Errors
-/// The folder does not exist or cannot be read. A folder without any known layout is no error.
+/// The folder does not exist or cannot be read. A folder without any known layout is not an error.
 pub fn find(folder: &Path) -> Result<Found, DataSetError> {
     if !folder.is_dir() {
         return Err(DataSetError::NoFolder { path: folder.to_owned() });

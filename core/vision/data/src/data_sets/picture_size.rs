@@ -1,4 +1,4 @@
-//! Sizes of pictures, from their headers.
+//! Sizes of images, from their headers.
 
 use std::fs::File;
 use std::io::Read;
@@ -7,7 +7,7 @@ use std::path::Path;
 /// Bytes of a PNM's header that are read.
 const HEADER: u64 = 512;
 
-/// Columns and rows; `None` for a file that is no picture whose header is understood.
+/// Columns and rows; `None` for a file without a known image header.
 pub(crate) fn of(path: &Path) -> Option<(u32, u32)> {
     image::image_dimensions(path).ok().or_else(|| pnm(path))
 }

@@ -1,4 +1,4 @@
-//! A sequence of a data set: its files, and what they mean.
+//! A sequence of a data set: its files and their meaning.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use panoscope_abi::Calibration;
 
 use crate::data_sets::picture_size;
 
-/// Pictures that belong together, with what is known of them.
+/// Images that belong together, with calibration, ground truth and labels.
 #[derive(Clone, Debug)]
 pub struct Sequence {
     /// The data set.
@@ -18,11 +18,11 @@ pub struct Sequence {
     pub name: String,
     /// Its folder.
     pub folder: PathBuf,
-    /// The pictures.
+    /// The images.
     pub pictures: Pictures,
-    /// Columns and rows of the first picture as it is stored; `None` for videos.
+    /// Columns and rows of the first stored image; `None` for videos.
     pub size: Option<(u32, u32)>,
-    /// Part of each stored view that is the picture, x, y, width, height in px: the rest is a black border. Masks are cut alike.
+    /// Part of each stored view without its black border: x, y, width, height in px. Masks are cropped in the same way.
     pub crop: Option<[u32; 4]>,
     /// Calibration of both views.
     pub calibration: Option<CalibrationFiles>,
@@ -30,14 +30,14 @@ pub struct Sequence {
     pub truth: Option<Truth>,
     /// True objects.
     pub labels: Option<Labels>,
-    /// What a user should know before relying on it.
+    /// Warnings for users of the sequence.
     pub remarks: Vec<String>,
 }
 
 /// The files of the views.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Pictures {
-    /// One file for each picture; `right` has as many as `left`, or none where there is one view.
+    /// One file for each image; `right` has as many as `left`, or none if there is only one view.
     Files {
         /// Left view.
         left: Vec<PathBuf>,
@@ -48,12 +48,12 @@ pub enum Pictures {
     Video {
         /// The file.
         file: PathBuf,
-        /// Where the views are in its pictures.
+        /// Positions of the views in its images.
         stacked: Stacked,
     },
 }
 
-/// Where the views of a video are.
+/// Position of the views of a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stacked {
     /// The left view above the right one.
@@ -65,32 +65,31 @@ pub enum Stacked {
 /// Files that state the cameras.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CalibrationFiles {
-    /// One list of files for the whole sequence, or one for each picture. A list is empty where a picture has none.
+    /// One list of files for the whole sequence, or one for each image. A list is empty if an image has none.
     pub sets: Vec<Vec<PathBuf>>,
-    /// Which cameras of a KITTI file the views are.
+    /// The cameras of a KITTI file that belong to the views.
     pub kitti: Option<KittiCameras>,
 }
 
 impl CalibrationFiles {
-    /// One set for all pictures.
+    /// One set for all images.
     pub fn one(files: Vec<PathBuf>) -> Self {
         Self { sets: vec![files], kitti: None }
     }
 
-    /// Whether every picture has files of its own.
+    /// Whether every image has separate files.
     pub fn is_per_picture(&self) -> bool {
         self.sets.len() > 1
     }
 
-    /// Index of the set of a picture.
+    /// Index of the set of an image.
     pub fn set_of(&self, picture: usize) -> usize {
         if self.is_per_picture() { picture } else { 0 }
     }
 
-    /// Reads the calibration of a picture; `None` where it has none.
+    /// Reads the calibration of an image; `None` if it has none.
     ///
-    /// # Errors
-    /// Names the file that is missing or damaged.
+    /// # Errors A file is missing or damaged; the error names it.
     pub fn read(&self, picture: usize) -> Result<Option<Calibration>, FileError> {
         match self.sets.get(self.set_of(picture)).map(Vec::as_slice) {
             None | Some([]) => Ok(None),
@@ -103,7 +102,7 @@ impl CalibrationFiles {
     }
 }
 
-/// What the files of the truth hold.
+/// Content of the ground truth's files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Holds {
     /// Disparity of the left rectified view.
@@ -112,12 +111,12 @@ pub enum Holds {
     Depth,
     /// Points of the raw left camera, one for each pixel of the raw left view.
     Points,
-    /// The same, with those of the right view in the rows below.
+    /// As [`Self::Points`], with those of the right view in the rows below.
     StackedPoints,
 }
 
 impl Holds {
-    /// In words.
+    /// Description for messages.
     pub fn words(self) -> &'static str {
         match self {
             Self::Disparity => "disparity",
@@ -130,21 +129,21 @@ impl Holds {
 /// True maps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
-    /// For each picture its file, if it has one. Shorter than the pictures where the rest has none.
+    /// For each image its file, if it has one. May be shorter than the images; the rest has none.
     pub files: Vec<Option<PathBuf>>,
-    /// What they hold.
+    /// Content of the files.
     pub holds: Holds,
-    /// What their numbers are divided by to get px or mm.
+    /// Divisor that converts their numbers to px or mm.
     pub divisor: f32,
 }
 
 impl Truth {
-    /// Truth for the pictures that have a file; `None` when none has.
+    /// Ground truth for the images that have a file; `None` when none has.
     pub(crate) fn of(files: Vec<Option<PathBuf>>, holds: Holds, divisor: f32) -> Option<Self> {
         files.iter().any(Option::is_some).then_some(Self { files, holds, divisor })
     }
 
-    /// Number of pictures with truth.
+    /// Number of images with ground truth.
     pub fn count(&self) -> usize {
         self.files.iter().flatten().count()
     }
@@ -153,19 +152,19 @@ impl Truth {
 /// True objects.
 #[derive(Clone, Debug)]
 pub enum Labels {
-    /// VOC or YOLO files: for each picture its file, if it has one.
+    /// VOC or YOLO files: for each image its file, if it has one.
     Boxes {
         /// The files.
         files: Vec<Option<PathBuf>>,
-        /// Names of the classes, in the order of the data set, as far as it states one.
+        /// Names of the classes, in the order of the data set, if it states one.
         classes: Vec<String>,
     },
-    /// Pictures of classes.
+    /// Images of classes.
     Masks(Masks),
 }
 
 impl Labels {
-    /// Number of pictures with labels.
+    /// Number of images with labels.
     pub fn count(&self) -> usize {
         match self {
             Self::Boxes { files, .. } => files.iter().flatten().count(),
@@ -181,7 +180,7 @@ impl Labels {
         }
     }
 
-    /// In words.
+    /// Description for messages.
     pub fn words(&self) -> &'static str {
         match self {
             Self::Boxes { .. } => "boxes",
@@ -190,12 +189,12 @@ impl Labels {
     }
 }
 
-/// Pictures of classes.
+/// Images of classes.
 #[derive(Clone, Debug)]
 pub struct Masks {
-    /// Names of the classes, as the data set calls them.
+    /// Names of the classes in the data set.
     pub classes: Vec<String>,
-    /// For each picture its masks; none where it has no labels.
+    /// For each image its masks; empty if it has no labels.
     pub files: Vec<Vec<MaskFile>>,
 }
 
@@ -204,21 +203,21 @@ pub struct Masks {
 pub struct MaskFile {
     /// The file.
     pub path: PathBuf,
-    /// What its pixels mean.
+    /// Meaning of its pixels.
     pub layers: Arc<[MaskLayer]>,
 }
 
 /// The pixels of one class.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MaskLayer {
-    /// Which pixels.
+    /// Code of its pixels.
     pub code: Code,
     /// Index of the class.
     pub class: u32,
 }
 
 impl Sequence {
-    /// A sequence of picture files without anything else. `right` may be empty.
+    /// A sequence of image files without anything else. `right` may be empty.
     pub(crate) fn of_files(
         data_set: &'static str,
         name: String,
@@ -255,7 +254,7 @@ impl Sequence {
         Self { pictures: Pictures::Video { file, stacked }, ..whole }
     }
 
-    /// Number of pictures; `None` for videos, which must be opened to know.
+    /// Number of images; `None` for videos, which must be opened to know.
     pub fn count(&self) -> Option<usize> {
         match &self.pictures {
             Pictures::Files { left, .. } => Some(left.len()),

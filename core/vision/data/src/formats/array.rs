@@ -1,4 +1,4 @@
-//! Planes as other programs read them: PFM, NPY, TIFF, PGM/PPM and bare bytes.
+//! Writes planes in common formats: PFM, NPY, TIFF, PGM/PPM and bare bytes.
 
 use std::io::{self, Write};
 
@@ -7,7 +7,7 @@ use crate::formats::Pixels;
 /// A format of [`write`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArrayFormat {
-    /// Portable float map, little-endian, rows from the bottom up, as Middlebury's disparity maps. Only f32.
+    /// Portable float map, little-endian, rows from the bottom up, as for Middlebury's disparity maps. Only f32.
     Pfm,
     /// NumPy's array format 1.0: H x W or H x W x channels.
     Npy,
@@ -20,10 +20,10 @@ pub enum ArrayFormat {
 }
 
 impl ArrayFormat {
-    /// Endings that [`ArrayFormat::from_ending`] knows.
+    /// Extensions that [`ArrayFormat::from_ending`] knows.
     pub const ENDINGS: &'static str = "pfm, npy, tif, tiff, pgm, ppm, raw, bin";
 
-    /// The format that a file's ending stands for.
+    /// The format of a file extension.
     pub fn from_ending(ending: &str) -> Option<Self> {
         Some(match ending {
             "pfm" => Self::Pfm,
@@ -35,7 +35,7 @@ impl ArrayFormat {
         })
     }
 
-    /// What to do when the format cannot hold `pixels`; `None` when it can.
+    /// Advice if the format cannot hold `pixels`; `None` if it can.
     pub fn refuses(self, pixels: &Pixels<'_>) -> Option<&'static str> {
         match (self, pixels) {
             (Self::Pfm, Pixels::F32(_)) => None,
@@ -46,7 +46,7 @@ impl ArrayFormat {
     }
 }
 
-/// Rows of bytes as the format wants them: samples little-endian unless `big_endian`, colours as they come or as RGB.
+/// Writes rows in the format's order: samples little-endian unless `big_endian`, colours unchanged or as RGB.
 fn rows(out: &mut dyn Write, pixels: &Pixels<'_>, rgb: bool, big_endian: bool, bottom_up: bool) -> io::Result<()> {
     let (width, height) = pixels.size();
     let mut line = Vec::with_capacity(width * 4);
@@ -68,7 +68,7 @@ fn rows(out: &mut dyn Write, pixels: &Pixels<'_>, rgb: bool, big_endian: bool, b
 /// Writes `pixels` in a format that does not [refuse](ArrayFormat::refuses) them.
 ///
 /// # Errors
-/// Those of `out`, and `InvalidInput` for pixels that the format refuses.
+/// Errors of `out`, and `InvalidInput` for pixels that the format refuses.
 pub fn write(out: &mut dyn Write, format: ArrayFormat, pixels: &Pixels<'_>) -> io::Result<()> {
     if let Some(why) = format.refuses(pixels) {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, why));
@@ -104,7 +104,8 @@ pub fn write(out: &mut dyn Write, format: ArrayFormat, pixels: &Pixels<'_>) -> i
     }
 }
 
-/// Format version 1.0: magic, length, a Python dictionary padded with blanks so that the data starts on a multiple of 64.
+/// Header of NPY version 1.0: magic, length, a Python dictionary padded with blanks so that the data starts on a
+/// multiple of 64.
 fn npy_header(out: &mut dyn Write, pixels: &Pixels<'_>) -> io::Result<()> {
     let (width, height) = pixels.size();
     let (kind, channels) = match pixels {
@@ -145,7 +146,7 @@ fn tiff(out: &mut dyn Write, pixels: &Pixels<'_>) -> io::Result<()> {
     let strip_len = u32::try_from(strip_len)
         .ok()
         .filter(|n| n.checked_add(data_at).is_some())
-        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "TIFF holds 4 GiB at most"))?;
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the limit of TIFF is 4 GiB"))?;
     out.write_all(b"II*\0\x08\0\0\0")?;
     out.write_all(&(entries as u16).to_le_bytes())?;
     let mut entry = |tag: u16, kind: u16, count: u32, value: u32| {

@@ -17,7 +17,7 @@ pub trait Fields {
     fn text(&mut self, name: &str, value: &str);
 }
 
-/// `f32` without the digits that widening to `f64` would add.
+/// Converts `f32` without the digits that widening to `f64` would add.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }
@@ -121,7 +121,7 @@ pub struct CsvFields {
     prefix: String,
     /// Names and cells, one after the other.
     text: String,
-    /// Where each name and each cell ends in `text`.
+    /// End of each name and cell in `text`.
     ends: Vec<[usize; 2]>,
 }
 
@@ -138,7 +138,7 @@ impl CsvFields {
         self.text.truncate(self.ends.last().map_or(0, |[_, end]| *end));
     }
 
-    /// Puts a text before the names of the columns that follow.
+    /// Sets a prefix of the names of further columns.
     pub fn set_prefix(&mut self, parts: &[&str]) {
         self.prefix.clear();
         self.prefix.extend(parts.iter().copied());
@@ -189,7 +189,7 @@ impl CsvFields {
     }
 }
 
-/// Appends a cell, quoted where RFC 4180 asks for it.
+/// Appends a cell, quoted if RFC 4180 requires it.
 pub fn csv_cell(out: &mut String, text: &str) {
     if !text.contains([',', '"', '\n', '\r']) {
         out.push_str(text);
@@ -203,7 +203,7 @@ pub fn csv_cell(out: &mut String, text: &str) {
     out.push('"');
 }
 
-/// Appends a line of cells that are yet to be quoted.
+/// Appends a line of unquoted cells.
 pub fn csv_line(out: &mut String, cells: &[String]) {
     for (index, cell) in cells.iter().enumerate() {
         out.push_str(if index == 0 { "" } else { "," });

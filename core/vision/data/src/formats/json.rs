@@ -1,4 +1,4 @@
-//! JSON text, written piece by piece.
+//! Writes JSON text incrementally.
 
 use std::fmt::Write;
 

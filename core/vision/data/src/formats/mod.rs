@@ -1,6 +1,7 @@
-//! Encoders of pictures, arrays, clouds and the fields of packets. Sinks write single outputs with them, exports whole recordings.
+//! Encoders of images, arrays, clouds and the fields of packets. Sinks write single outputs with them, exports whole
+//! recordings.
 //!
-//! Everything here writes to a stream or a text; names of files belong to the callers.
+//! Everything here writes to a stream or a text; callers choose the file names.
 
 pub mod array;
 pub mod fields;

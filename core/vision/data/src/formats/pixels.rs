@@ -1,4 +1,4 @@
-//! Pixels of any format as the writers want them.
+//! Pixels of any format for the writers.
 
 use panoscope_base::View;
 
@@ -38,8 +38,8 @@ impl<'a> Pixels<'a> {
         }
     }
 
-    /// The pixels as BGR rows without padding: those of the frame where it has them, else of `buffer`, which is reused. `None` for 16-bit and float
-    /// pixels.
+    /// The pixels as BGR rows without padding: those of the frame if possible, else of `buffer`, which is reused.
+    /// `None` for 16-bit and float pixels.
     pub fn bgr<'b>(&self, buffer: &'b mut Vec<u8>) -> Option<&'b [u8]>
     where
         'a: 'b,

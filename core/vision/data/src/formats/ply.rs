@@ -6,7 +6,8 @@ use panoscope_abi::CloudPoint;
 pub use panoscope_imaging::draw::GradientLimit;
 use panoscope_imaging::draw::Rims;
 
-/// Positions of the points that are on a surface, NaN for the others: ramps that a match draws from one depth to another are none.
+/// Positions of the points that are on a surface, NaN for the others: ramps that matching draws between depths are not
+/// surfaces.
 fn on_surfaces(points: &[CloudPoint], width: usize, limit: GradientLimit) -> Vec<[f32; 3]> {
     let position = |p: &CloudPoint| if p.is_known() { [p.x_mm, p.y_mm, p.z_mm] } else { [f32::NAN; 3] };
     let mut positions: Vec<[f32; 3]> = points.iter().map(position).collect();
@@ -18,7 +19,7 @@ fn on_surfaces(points: &[CloudPoint], width: usize, limit: GradientLimit) -> Vec
 
 /// Triangles between neighbours in rows of positions, NaN where unknown: three indices each.
 ///
-/// Neighbours that `limit` parts belong to different surfaces.
+/// Neighbours that `limit` separates belong to different surfaces.
 fn triangles(positions: &[[f32; 3]], width: usize, limit: GradientLimit) -> impl Iterator<Item = [usize; 3]> + Clone {
     let height = positions.len().checked_div(width).unwrap_or(0);
     let joined = move |a: usize, b: usize| {
@@ -32,12 +33,12 @@ fn triangles(positions: &[[f32; 3]], width: usize, limit: GradientLimit) -> impl
     })
 }
 
-/// Writes the known points; returns their number. Coordinates in mm, left rectified camera frame (x right, y
-/// down, z forward). The property `filled` is 1 for points that were filled in, 0 for measured ones. With `limit` the surface between neighbours in rows of `width` points is written too: triangles between
-/// points of one surface.
+/// Writes the known points; returns their number. Coordinates in mm, left rectified camera frame (x right, y down, z
+/// forward). The property `filled` is 1 for points that were filled in, 0 for measured ones. With `limit` the surface
+/// between neighbours in rows of `width` points is written too: triangles between points of one surface.
 ///
 /// # Errors
-/// Those of `out`.
+/// Errors of `out`.
 pub fn write(
     out: &mut dyn Write,
     points: &[CloudPoint],

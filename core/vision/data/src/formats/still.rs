@@ -1,4 +1,4 @@
-//! PNG and JPEG of a picture.
+//! Encodes images as PNG and JPEG.
 
 use std::io::Write;
 
@@ -9,13 +9,13 @@ use image::{ExtendedColorType, ImageEncoder, ImageError};
 
 use crate::formats::Pixels;
 
-/// Endings that [`encode`] knows.
+/// Extensions that [`encode`] knows.
 pub const ENDINGS: &str = "png, jpg, jpeg";
 
-/// Encodes `pixels` as the `ending` says; `work` is reused. JPEG drops alpha.
+/// Encodes `pixels` in the format of `ending`; `work` is reused. JPEG drops alpha.
 ///
 /// # Errors
-/// The encoder's; `Unsupported` for pixels that the format cannot hold (f32; 16 bits in JPEG).
+/// Errors of the encoder; `Unsupported` for pixels that the format cannot hold (f32; 16 bits in JPEG).
 pub fn encode(
     out: &mut dyn Write,
     ending: &str,

@@ -9,17 +9,17 @@ use panoscope_imaging::stereo::{FloatImage, StereoError, formats};
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
 
-/// Endings of the files that [`read`] takes.
+/// Extensions of the files that [`read`] accepts.
 pub const ENDINGS: [&str; 6] = ["npy", "pfm", "tif", "tiff", "exr", "png"];
 
 /// Maximum number of columns or rows.
 const MAX_SIDE: usize = 1 << 16;
-/// Maximum number of pixels of a map: a small file can announce many more than it holds.
+/// Maximum number of pixels of a map: because a small file can announce many more than it has.
 const MAX_PIXELS: usize = 1 << 26;
-/// What KITTI's 16-bit PNG values are divided by to get pixels.
+/// Divisor of KITTI's 16-bit PNG values to pixels.
 pub const KITTI_DIVISOR: f32 = 256.0;
 
-/// Why a file gives no map.
+/// A file without a valid map.
 #[derive(Debug, thiserror::Error)]
 pub enum MapError {
     /// The file cannot be read.
@@ -30,7 +30,7 @@ pub enum MapError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// The ending names no format of maps.
+    /// The extension is not that of a map.
     #[error("{path}: maps are read from .npy, .pfm, .tif, .exr and .png files", path = path.display())]
     Ending {
         /// The file.
@@ -41,12 +41,12 @@ pub enum MapError {
     Content {
         /// The file.
         path: PathBuf,
-        /// What is wrong with its bytes.
+        /// The mistake in its bytes.
         cause: ContentError,
     },
 }
 
-/// What is wrong with the bytes of a map.
+/// A mistake in the bytes of a map.
 #[derive(Debug, thiserror::Error)]
 pub enum ContentError {
     /// A PFM or NPY that is refused.
@@ -62,45 +62,45 @@ pub enum ContentError {
     #[error("the EXR is damaged or of an unknown kind: {0}")]
     Exr(#[from] exr::error::Error),
     /// More pixels than a map may have.
-    #[error("its size is {width}x{height}: a map has up to {MAX_PIXELS} pixels")]
+    #[error("its size {width}x{height} exceeds the limit of {MAX_PIXELS} pixels")]
     Size {
         /// Columns.
         width: usize,
         /// Rows.
         height: usize,
     },
-    /// A picture in colours.
-    #[error("it is a picture in colours: a map has one number per pixel")]
+    /// An image in colours.
+    #[error("it is a colour image, but a map has one number per pixel")]
     Colour,
-    /// Samples that are no map.
-    #[error("its samples are {samples}: 8, 16 or 32 bits without sign and floats are read")]
+    /// Samples that are not a map.
+    #[error("its samples are {samples}: use unsigned integers of 8, 16 or 32 bits, or floats")]
     Samples {
         /// The decoder's words.
         samples: String,
     },
-    /// No channel of an EXR is the map.
+    /// No channel of an EXR is a map.
     #[error("its channels are {channels}: name the map's channel Z, Y or depth, or store it alone")]
     Channels {
         /// Names of the channels.
         channels: String,
     },
-    /// A picture that holds no points.
-    #[error("it holds {channels} number(s) per pixel: points are three floats per pixel, x, y and z")]
+    /// An image that is not a map of points.
+    #[error("it has {channels} number(s) per pixel, but points are three floats per pixel, x, y and z")]
     Points {
         /// Numbers per pixel.
         channels: usize,
     },
     /// Values are missing.
-    #[error("it holds {found} values, {expected} are expected")]
+    #[error("it has {found} values, expected {expected}")]
     Short {
-        /// Values that are there.
+        /// Actual number of values.
         found: usize,
-        /// Values of a whole map.
+        /// Number of values of a complete map.
         expected: usize,
     },
 }
 
-/// How a file stores its numbers, which says how data sets scale them.
+/// Storage of a file's numbers, which determines their scale in data sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stored {
     /// Whole numbers of 8 bits.
@@ -113,17 +113,17 @@ pub enum Stored {
     Floats,
 }
 
-/// One number per pixel, as the file holds it.
+/// One unscaled number per pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawMap {
     /// The numbers.
     pub image: FloatImage,
-    /// How the file stores them.
+    /// Storage in the file.
     pub stored: Stored,
 }
 
 impl RawMap {
-    /// The map with values divided by `divisor`; NaN where the file has no finite positive number.
+    /// The map with values divided by `divisor`; NaN where the number is not finite and positive.
     pub fn divided(self, divisor: f32) -> FloatImage {
         let known = |v: f32| if v.is_finite() && v > 0.0 { v / divisor } else { f32::NAN };
         FloatImage { data: self.image.data.into_iter().map(known).collect(), ..self.image }
@@ -135,11 +135,12 @@ impl RawMap {
     }
 }
 
-/// Reads the map of a file; its ending names the format.
+/// Reads the map of a file; its extension selects the format.
 ///
 /// - NPY of two dimensions, f4 or f8; PFM of one channel
-/// - TIFF of 8, 16 or 32 bits without sign, or floats. Of three channels of floats the third one is taken: SCARED's points are x, y and z in mm of
-///   the raw left camera, and z is no depth of the rectified view; [`crate::truth::points`] reads all three and moves them there
+/// - TIFF of 8, 16 or 32 bits without sign, or floats. Of three channels of floats the third one is taken: SCARED's
+///   points are x, y and z in mm of the raw left camera, and z is not the depth of the rectified view;
+///   [`crate::truth::points`] reads all three and moves them there
 /// - EXR: the only channel, or the one called Z, Y, V or depth; or three channels that hold the same
 /// - PNG of 8 or 16 bits, gray
 ///
@@ -157,7 +158,7 @@ pub fn read(path: &Path) -> Result<RawMap, MapError> {
 /// Decodes a map in memory; `ending` is one of [`ENDINGS`].
 ///
 /// # Errors
-/// What is wrong with the bytes.
+/// The bytes are malformed.
 pub fn decode(ending: &str, bytes: &[u8]) -> Result<RawMap, ContentError> {
     let floats = |image| Ok(RawMap { image, stored: Stored::Floats });
     match ending {
@@ -210,7 +211,7 @@ pub(crate) struct TiffValues {
     pub height: usize,
     /// Numbers per pixel: 1 or 3.
     pub channels: usize,
-    /// As many as the size says, pixel after pixel.
+    /// All values, pixel after pixel.
     pub data: Vec<f32>,
     pub stored: Stored,
 }

@@ -1,11 +1,11 @@
-//! Pictures of classes: each pixel holds the colour or the number of what it shows. Their connected parts become boxes.
+//! Images of classes: each pixel has the colour or the number of its class. Their connected parts become boxes.
 
 use std::path::{Path, PathBuf};
 
 /// Maximum number of columns or rows.
 const MAX_SIDE: u32 = 1 << 13;
 
-/// Why a file gives no classes.
+/// A file without valid classes.
 #[derive(Debug, thiserror::Error)]
 pub enum MaskError {
     /// The file cannot be read.
@@ -17,7 +17,7 @@ pub enum MaskError {
         cause: std::io::Error,
     },
     /// The file is not a PNG, or damaged.
-    #[error("{path}: the mask is damaged or no PNG: {cause}", path = path.display())]
+    #[error("{path}: the mask is damaged or not a PNG: {cause}", path = path.display())]
     Picture {
         /// The file.
         path: PathBuf,
@@ -26,12 +26,12 @@ pub enum MaskError {
     },
 }
 
-/// Which pixels belong to a class.
+/// Test for the pixels of a class.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Code {
-    /// All that are not black.
+    /// All pixels that are not black.
     Set,
-    /// Those of one colour: red, green, blue. A number in a gray picture is the same in all three.
+    /// Pixels of one colour: red, green, blue. A number in a gray image is the same in all three.
     Colour([u8; 3]),
 }
 
@@ -56,7 +56,7 @@ pub struct Part {
 }
 
 impl MaskPicture {
-    /// Reads a PNG of gray or colour, 8 or 16 bits; transparency counts as nothing.
+    /// Reads a PNG of gray or colour, 8 or 16 bits; transparent pixels count as black.
     ///
     /// # Errors
     /// See [`MaskError`].
@@ -68,7 +68,7 @@ impl MaskPicture {
     /// Decodes a mask in memory.
     ///
     /// # Errors
-    /// What is wrong with the bytes.
+    /// The bytes are malformed.
     pub fn decode(bytes: &[u8]) -> Result<Self, image::ImageError> {
         let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), image::ImageFormat::Png);
         let mut limits = image::Limits::default();
@@ -88,7 +88,8 @@ impl MaskPicture {
         Some(Self { width, height, colours: rows.copied().collect() })
     }
 
-    /// Connected parts (by edges and corners) of the pixels of a class, from the top; those below `least` pixels are left out.
+    /// Connected parts (by edges and corners) of the pixels of a class, from the top; those below `least` pixels are
+    /// left out.
     pub fn parts(&self, code: &Code, least: usize) -> Vec<Part> {
         let is_set = |index: usize| match code {
             Code::Set => self.colours[index] != [0; 3],

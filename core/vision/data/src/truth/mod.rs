@@ -1,8 +1,8 @@
-//! Truth in files: maps of disparity, depth and points, boxes of objects, pictures of classes.
+//! Ground truth in files: maps of disparity, depth and points, boxes of objects, images of classes.
 //!
-//! `maps` reads one number per pixel from the formats that stereo data sets use, `points` three of them, which it moves into the rectified view.
-//! `labels` reads the boxes of one picture as VOC and YOLO write them, `masks` finds the connected parts of a class. Nothing here knows a graph:
-//! nodes and evaluations decide what a number or a box means.
+//! `maps` reads one number per pixel from the formats that stereo data sets use, `points` three of them, which it moves
+//! into the rectified view. `labels` reads the boxes of one image as VOC and YOLO write them, `masks` finds the
+//! connected parts of a class. This module does not know graphs: nodes and evaluations interpret the numbers and boxes.
 
 pub mod labels;
 pub mod maps;

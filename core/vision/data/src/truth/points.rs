@@ -1,8 +1,9 @@
-//! Maps of points: x, y and z of what each pixel of a raw view sees, as SCARED stores its truth.
+//! Maps of points: x, y and z of the point in each pixel of a raw view, as in the ground truth of SCARED.
 //!
-//! Such points stand in the frame of the raw left camera (x right, y down, z forward, mm), one for each pixel of the raw left view. Disparity and
-//! depth of a graph belong to the *rectified* left view, whose camera is turned and has another focal length: [`Points::rectified_depth`] moves
-//! the points there. The z of the raw view is no depth of the rectified one.
+//! Such points are in the frame of the raw left camera (x right, y down, z forward, mm), one for each pixel of the raw
+//! left view. Disparity and depth of a graph belong to the *rectified* left view, whose camera is turned and has
+//! another focal length: [`Points::rectified_depth`] moves the points there. The z of the raw view is not the depth of
+//! the rectified one.
 
 use std::path::Path;
 
@@ -33,7 +34,7 @@ pub fn read(path: &Path) -> Result<Points, MapError> {
 /// Decodes a TIFF of points in memory.
 ///
 /// # Errors
-/// What is wrong with the bytes.
+/// The bytes are malformed.
 pub fn decode(bytes: &[u8]) -> Result<Points, ContentError> {
     let values = maps::tiff_values(bytes)?;
     if values.channels != 3 || values.stored != maps::Stored::Floats {
@@ -45,15 +46,15 @@ pub fn decode(bytes: &[u8]) -> Result<Points, ContentError> {
 }
 
 impl Points {
-    /// The upper half, which belongs to the left view where files hold both views on top of each other.
+    /// The upper half, which belongs to the left view in files with both views on top of each other.
     pub fn upper_half(mut self) -> Self {
         self.height /= 2;
         self.xyz_mm.truncate(self.width * self.height);
         self
     }
 
-    /// Depth of the left rectified view, mm: every point is turned, projected and written to the nearest pixel, where the nearest point wins.
-    /// Pixels that no point meets are NaN.
+    /// Depth of the left rectified view, mm: every point is rotated, projected and written to the nearest pixel, where
+    /// the nearest point wins. Pixels without a point are NaN.
     pub fn rectified_depth(&self, rectification: &Rectification) -> FloatImage {
         let (width, height) = (rectification.width, rectification.height);
         let mut depth = FloatImage { width, height, data: vec![f32::NAN; width * height] };
@@ -75,8 +76,8 @@ impl Points {
     }
 }
 
-/// Disparity in px of a depth in mm, or depth of a disparity: both are focal length times baseline over the other, shifted by the principal columns.
-/// NaN stays; what is not in front of both cameras becomes NaN.
+/// Converts depth in mm to disparity in px, or the inverse: both are focal length times baseline over the other,
+/// shifted by the principal columns. NaN stays; points that are not in front of both cameras become NaN.
 fn turned_over(map: &FloatImage, to: impl Fn(f64) -> f64) -> FloatImage {
     let value = |v: &f32| {
         let value = to(f64::from(*v)) as f32;
@@ -109,7 +110,7 @@ mod tests {
     const WIDTH: usize = 64;
     const HEIGHT: usize = 48;
 
-    /// Turned by 4 degrees about the vertical axis, longer by a tenth, principal points 7 px apart.
+    /// A rectification rotated by 4 degrees about the vertical axis, longer by a tenth, principal points 7 px apart.
     fn rectification() -> Rectification {
         let (sine, cosine) = 4.0f64.to_radians().sin_cos();
         let camera = |cx: f64| RectifiedCamera { focal_px: 110.0, cx, cy: 23.0 };

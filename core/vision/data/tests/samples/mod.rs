@@ -1,6 +1,7 @@
 //! Tiny copies of the layouts of public data sets, with pictures of a known shift.
 //!
-//! The right picture of every rectified pair shows the left one `SHIFT` px to the left, so that the disparity is `SHIFT` everywhere.
+//! The right picture of every rectified pair shows the left one `SHIFT` px to the left, so that the disparity is
+//! `SHIFT` everywhere.
 
 // Every test file uses its part.
 #![allow(dead_code)]
@@ -91,7 +92,8 @@ pub fn matrix(name: &str, rows: usize, columns: usize, data: &[f64]) -> String {
     format!("{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: f\n   data: [ {data} ]\n")
 }
 
-/// Focal length, principal point, baseline of SCARED's cameras here; the right one is turned by `SCARED_TURN` rad about the vertical axis.
+/// Focal length, principal point, baseline of SCARED's cameras here; the right one is turned by `SCARED_TURN` rad about
+/// the vertical axis.
 pub const SCARED_FOCAL: f64 = 60.0;
 pub const SCARED_CENTRE: [f64; 2] = [31.5, 23.5];
 pub const SCARED_TURN: f64 = 0.08;
@@ -123,7 +125,8 @@ fn plane(x: u32, y: u32, z: f64) -> [f32; 3] {
     [of(x, SCARED_CENTRE[0]), of(y, SCARED_CENTRE[1]), z as f32]
 }
 
-/// Keyframe with truth, points of two of the three frames of a video. `video` is called with the path that the video has to get.
+/// Keyframe with truth, points of two of the three frames of a video. `video` is called with the path that the video
+/// has to get.
 pub fn scared(tree: &Tree, video: impl Fn(&Path)) {
     let key = "SCARED/dataset_1/keyframe_1";
     tree.write(&format!("{key}/endoscope_calibration.yaml"), scared_calibration());

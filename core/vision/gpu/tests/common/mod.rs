@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use panoscope_gpu::{CHOICE, Gpu};
 
-/// The device that `PANOSCOPE_GPU` names, else the one that the processor plays; `None`, reported as a skip, without one.
+/// The device that `PANOSCOPE_GPU` names, else the one that the processor plays; `None`, reported as a skip, without
+/// one.
 pub fn device() -> Option<Arc<Gpu>> {
     let choice = std::env::var(CHOICE).ok().filter(|choice| !choice.is_empty());
     match Gpu::open(Some(choice.as_deref().unwrap_or("software"))) {

@@ -1,4 +1,4 @@
-//! Masks as bits, to and from COCO's run lengths and polygons.
+//! Bit masks, and conversions from and to COCO's run lengths and polygons.
 
 /// A mask; bits run down the columns, as COCO's run lengths do.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -10,7 +10,8 @@ pub struct Mask {
     words: Vec<u64>,
     /// Bits that are set.
     pub area: u64,
-    /// First column and row, last column and row of what is set; kept with every change, because pictures are large and objects small.
+    /// First column and row, last column and row of the set bits; updated with every change, because images are large
+    /// and objects small.
     extent: Option<[usize; 4]>,
 }
 
@@ -20,7 +21,7 @@ impl Mask {
         Self { width, height, words: vec![0; (width * height).div_ceil(64)], area: 0, extent: None }
     }
 
-    /// Whether a pixel is set; places outside are not.
+    /// Whether a pixel is set; positions outside are not.
     pub fn at(&self, x: usize, y: usize) -> bool {
         let bit = x * self.height + y;
         x < self.width && y < self.height && self.words[bit / 64] >> (bit % 64) & 1 == 1
@@ -59,7 +60,7 @@ impl Mask {
         self.extend([x0, y0, x1, y1]);
     }
 
-    /// From COCO's uncompressed run lengths, which begin with zeros. `None` when they are not as long as the picture.
+    /// From COCO's uncompressed run lengths, which begin with zeros. `None` if their sum is not the size of the image.
     pub fn from_runs(width: usize, height: usize, runs: &[u64]) -> Option<Self> {
         let total = runs.iter().try_fold(0u64, |sum, run| sum.checked_add(*run))?;
         if width.checked_mul(height).is_none_or(|area| area as u64 != total) {
@@ -106,7 +107,7 @@ impl Mask {
         Self::from_runs(width, height, &runs)
     }
 
-    /// Adds a polygon of x, y pairs, even-odd, pixels counted by their centres.
+    /// Adds a polygon of x, y pairs by the even-odd rule, evaluated at pixel centres.
     pub fn add_polygon(&mut self, points: &[[f64; 2]]) {
         let mut crossings = Vec::new();
         let (top, bottom) =
@@ -145,7 +146,7 @@ impl Mask {
         out
     }
 
-    /// Pixels that both have; masks of different sizes share none.
+    /// Number of pixels that both have; masks of different sizes share none.
     pub fn common(&self, other: &Self) -> u64 {
         if (self.width, self.height) != (other.width, other.height) {
             return 0;
@@ -153,7 +154,7 @@ impl Mask {
         self.words.iter().zip(&other.words).map(|(a, b)| u64::from((a & b).count_ones())).sum()
     }
 
-    /// Left, top, width, height of what is set; all zero when nothing is.
+    /// Left, top, width, height of the set bits; all zero if none is set.
     pub fn bounds(&self) -> [f64; 4] {
         let Some([x0, y0, x1, y1]) = self.extent else { return [0.0; 4] };
         [x0 as f64, y0 as f64, (x1 - x0 + 1) as f64, (y1 - y0 + 1) as f64]

@@ -1,4 +1,4 @@
-//! Detections beside the truth: masks, overlaps, precision, recall and average precision.
+//! Detections compared with ground truth: masks, overlaps, precision, recall and average precision.
 
 mod mask;
 mod names;

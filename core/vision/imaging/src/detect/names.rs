@@ -1,6 +1,6 @@
-//! Names of classes, which data sets and models write in many ways.
+//! Names of classes, which differ between data sets and models.
 
-/// `SpecimenBag`, `Specimen Bag` and `specimen_bag` are one class.
+/// `SpecimenBag`, `Specimen Bag` and `specimen_bag` become one class.
 pub fn normal_name(name: &str) -> String {
     let mut out = String::new();
     let mut before = ' ';

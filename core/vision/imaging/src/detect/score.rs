@@ -1,14 +1,15 @@
-//! Average precision as COCO's and as VOC's tools count it (Lin et al. 2014; Everingham et al. 2010).
+//! Average precision as computed by COCO's and by VOC's tools (Lin et al. 2014; Everingham et al. 2010).
 //!
-//! COCO: at most 100 finds per picture and class, best first, each takes the free truth that it overlaps most; precision is read at 101 recalls;
-//! thresholds 0.50 to 0.95. The steps and their ties are those of `pycocotools`, so that both give the same numbers. VOC: at an overlap of
-//! 0.5, a find belongs to the truth that it overlaps most, free or not; area under the whole curve.
+//! COCO: at most 100 finds per image and class, best first; each takes the free true object that it overlaps most;
+//! precision is read at 101 recalls; thresholds 0.50 to 0.95. Steps and ties follow `pycocotools`, so that both give
+//! the same numbers. VOC: at an overlap of
+//! 0.5, a find belongs to the true object that it overlaps most, free or not; area under the whole curve.
 
 use super::mask::Mask;
 
 /// Overlap thresholds of COCO.
 pub const THRESHOLDS: [f64; 10] = [0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95];
-/// Maximum number of finds of a class in a picture.
+/// Maximum number of finds of a class in an image.
 const MAX_FINDS: usize = 100;
 
 /// A true object.
@@ -18,26 +19,26 @@ pub struct Object {
     pub class: usize,
     /// Left, top, width, height in px.
     pub bbox: [f64; 4],
-    /// Outline, where the truth has one.
+    /// Outline, if the ground truth has one.
     pub mask: Option<Mask>,
-    /// A crowd, or too difficult to count: finding it is no gain, missing it no loss.
+    /// Whether it is a crowd or marked as difficult: it counts neither as found nor as missed.
     pub ignored: bool,
 }
 
-/// Something found.
+/// A detection.
 #[derive(Clone, Debug)]
 pub struct Find {
     /// Class number.
     pub class: usize,
     /// Left, top, width, height in px.
     pub bbox: [f64; 4],
-    /// Outline, where the network gives one.
+    /// Outline, if the network gives one.
     pub mask: Option<Mask>,
     /// 0..1.
     pub score: f64,
 }
 
-/// What overlaps are measured on.
+/// Shapes on which overlaps are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
     /// Boxes.
@@ -46,7 +47,7 @@ pub enum Shape {
     Mask,
 }
 
-/// Intersection over union; over the find's area alone where the truth is a crowd.
+/// Intersection over union; divided by the find's area alone if the true object is a crowd.
 pub fn overlap(find: &Find, truth: &Object, shape: Shape) -> f64 {
     let (both, a, b) = match shape {
         Shape::Box => {
@@ -74,13 +75,13 @@ pub struct ClassScore {
     pub truths: usize,
     /// Finds that count, at the threshold 0.5.
     pub finds: usize,
-    /// COCO's AP at each threshold; NaN without truth.
+    /// COCO's AP at each threshold; NaN without ground truth.
     pub ap: [f64; 10],
-    /// VOC's AP at 0.5; NaN without truth.
+    /// VOC's AP at 0.5; NaN without ground truth.
     pub voc: f64,
     /// Recall and precision after each find, best first, at 0.5.
     pub curve: Vec<(f64, f64)>,
-    /// Largest F1 over scores, and the score at which it is reached.
+    /// Maximum F1 over scores, and the score at which it is reached.
     pub best_f1: (f64, f64),
 }
 
@@ -98,14 +99,14 @@ pub struct Scores {
     pub classes: Vec<ClassScore>,
 }
 
-/// Mean of the values that are numbers; NaN of none.
+/// Mean of the values without NaN; NaN if there are none.
 pub fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.filter(|v| !v.is_nan()).fold((0.0, 0usize), |(s, n), v| (s + v, n + 1));
     if count == 0 { f64::NAN } else { sum / count as f64 }
 }
 
 impl Scores {
-    /// COCO's AP over 0.50 to 0.95, mean of the classes that the truth has.
+    /// COCO's AP over 0.50 to 0.95, mean of the classes in the ground truth.
     pub fn ap(&self) -> f64 {
         mean(self.classes.iter().flat_map(|c| c.ap))
     }
@@ -121,7 +122,7 @@ impl Scores {
     }
 }
 
-/// Finds of a class in a picture, best first, and how they meet the truth at each threshold.
+/// Finds of a class in an image, best first, with their matches at each threshold.
 pub(super) struct MatchedDetections {
     pub scores: Vec<f64>,
     /// Per threshold and detection: matched, ignored.
@@ -225,7 +226,7 @@ fn area(curve: &[(f64, f64)]) -> f64 {
     sum
 }
 
-/// Scores `finds` against `truths`, picture by picture.
+/// Scores `finds` against `truths`, image by image.
 pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape: Shape) -> Scores {
     let one = |class: usize| {
         let met: Vec<MatchedDetections> = truths
@@ -261,16 +262,16 @@ pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape:
     Scores { classes: (0..classes).map(one).collect() }
 }
 
-/// Finds of all pictures in the order of their scores, to be scored again and again on parts of the pictures.
+/// Finds of all images in the order of their scores, to be scored repeatedly on subsets of the images.
 pub struct Ranking {
-    /// Per class: score, hit (COCO's rule at 0.5), picture.
+    /// Per class: score, hit (COCO's rule at 0.5), image.
     rows: Vec<Vec<(f64, bool, usize)>>,
-    /// Per class and picture: true objects that count.
+    /// Per class and image: true objects that count.
     truths: Vec<Vec<usize>>,
 }
 
 impl Ranking {
-    /// Ranks `finds`, picture by picture, by their boxes.
+    /// Ranks `finds`, image by image, by their boxes.
     pub fn new(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize) -> Self {
         let mut ranking = Self { rows: vec![Vec::new(); classes], truths: vec![Vec::new(); classes] };
         for class in 0..classes {
@@ -288,7 +289,7 @@ impl Ranking {
         ranking
     }
 
-    /// COCO's AP at 0.5 of each class when each picture counts `times` times; NaN without truth.
+    /// COCO's AP at 0.5 of each class when each image counts `times` times; NaN without ground truth.
     pub fn ap50(&self, times: &[u32]) -> Vec<f64> {
         let one = |(rows, truths): (&Vec<(f64, bool, usize)>, &Vec<usize>)| {
             let total: usize = truths.iter().zip(times).map(|(t, n)| t * *n as usize).sum();
@@ -311,8 +312,8 @@ impl Ranking {
     }
 }
 
-/// How a picture's truths and finds meet whatever their classes, at an overlap of 0.5: for each pair both numbers. Crowds, finds on them and finds
-/// under `min_score` are ignored.
+/// Matches of an image's true objects and finds regardless of class, at an overlap of 0.5: for each pair both numbers.
+/// Crowds, finds on them and finds under `min_score` are ignored.
 pub fn pairs(truths: &[Object], finds: &[Find], min_score: f64, shape: Shape) -> Vec<(Option<usize>, Option<usize>)> {
     let mut all: Vec<(f64, usize, usize)> = Vec::new();
     for (f, find) in finds.iter().enumerate().filter(|(_, f)| f.score >= min_score) {

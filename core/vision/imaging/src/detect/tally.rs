@@ -1,11 +1,12 @@
-//! Detections counted picture by picture: precision, recall and average precision so far.
+//! Incremental precision, recall and average precision, image by image.
 
 use super::score::{Find, Object, Shape, at_101_recalls, curve, mean, meet};
 
 /// Detections of one class so far.
 #[derive(Clone, Debug, Default)]
 struct ClassTally {
-    /// Score of each detection that counts, and whether it meets an object, by COCO's rule at an overlap of 0.5; best first.
+    /// Score of each counted detection, and whether it matches an object, by COCO's rule at an overlap of 0.5; best
+    /// first.
     rows: Vec<(f64, bool)>,
     /// Objects that count.
     truths: usize,
@@ -18,32 +19,32 @@ pub struct Rates {
     pub truths: usize,
     /// Detections of at least the smallest score.
     pub finds: usize,
-    /// Those that meet an object.
+    /// Detections that match an object.
     pub hits: usize,
     /// COCO's average precision at an overlap of 0.5, over all scores; NaN without an object.
     pub ap50: f64,
 }
 
 impl Rates {
-    /// Share of the detections that meet an object; NaN without a detection.
+    /// Share of the detections that match an object; NaN without a detection.
     pub fn precision(&self) -> f64 {
         self.hits as f64 / self.finds as f64
     }
 
-    /// Share of the objects that are met; NaN without an object.
+    /// Share of the objects that are detected; NaN without an object.
     pub fn recall(&self) -> f64 {
         self.hits as f64 / self.truths as f64
     }
 }
 
-/// Detections and objects of the pictures so far.
+/// Detections and objects of the images so far.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     classes: Vec<ClassTally>,
 }
 
 impl Tally {
-    /// Adds a picture. Of a class in a picture the 100 best detections count, as COCO counts them.
+    /// Adds an image. Per class and image the 100 best detections are used, as in COCO.
     pub fn add(&mut self, truths: &[Object], finds: &[Find]) {
         let numbers = truths.iter().map(|t| t.class).chain(finds.iter().map(|f| f.class));
         let classes = numbers.max().map_or(0, |most| most + 1);
@@ -70,7 +71,7 @@ impl Tally {
         self.classes.len()
     }
 
-    /// Counts of a class; nothing of one that did not come.
+    /// Counts of a class; zeros for an unknown class.
     pub fn class(&self, class: usize, min_score: f64) -> Rates {
         let none = ClassTally::default();
         let tally = self.classes.get(class).unwrap_or(&none);

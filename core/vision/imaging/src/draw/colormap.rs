@@ -43,7 +43,7 @@ const VIRIDIAN: [[f32; 3]; 9] = [
 ];
 
 impl Colormap {
-    /// Colour at `place`, 0..=1 (cut); [`UNKNOWN`] for NaN.
+    /// Colour at `place`, clamped to 0..=1; [`UNKNOWN`] for NaN.
     pub fn at(self, place: f32) -> Color {
         if place.is_nan() {
             return UNKNOWN;
@@ -68,7 +68,7 @@ impl Colormap {
         [channel(2), channel(1), channel(0)]
     }
 
-    /// Colours of numbers before the first and beyond the last colour: none of the scale's own.
+    /// Colours of numbers below and above the scale, which differ from all its colours.
     pub fn beyond(self) -> [Color; 2] {
         match self {
             Self::Rainbow | Self::Viridian => [[0; 3], [255; 3]],
@@ -77,8 +77,9 @@ impl Colormap {
     }
 }
 
-/// Paints a plane of numbers (disparity, depth): `low` and `high` are the ends of the scale (they may be swapped), what
-/// lies outside takes the map's colours for that ([`Colormap::beyond`]), NaN is dark gray. Only the part that both pictures have is painted.
+/// Paints a plane of numbers (disparity, depth): `low` and `high` are the ends of the scale (they may be swapped),
+/// numbers outside get the colours of [`Colormap::beyond`], NaN is dark gray. Only the area that both images share is
+/// painted.
 pub fn colorize(plane: &View<f32>, low: f32, high: f32, map: Colormap, out: &mut ViewMut<u8>) {
     if plane.channels != 1 || out.channels != 3 {
         return;

@@ -1,18 +1,19 @@
-//! Smooth rims of a surface: how far each corner lies inside it, so that the rim can be drawn between corners.
+//! Smooth rims of a surface: measures how far inside each corner is, so that the rim can be drawn between corners.
 //!
-//! Corners are known or not, and a rim along them has the steps of their grid. The share of known corners around each, weighted by a binomial
-//! window, is 0.5 along a line that cuts these steps off: drawn up to there, straight rims stay where they are and corners of rims become round.
+//! Corners are either known or not, so a rim along them shows the steps of their grid. The share of known corners
+//! around each, weighted by a binomial window, is 0.5 along a line that cuts these steps off: drawn up to there,
+//! straight rims are unchanged and corners of rims become round.
 
 use super::corner::{Corner, NOWHERE, is_known};
 use super::rims::GradientLimit;
 
-/// Corners around one that count, to each side, and their weights.
+/// Radius of the window in corners.
 const REACH: usize = 2;
 const WINDOW: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
-/// What a corner must be to be drawn.
+/// Minimum value of a drawn corner.
 pub const RIM: f32 = 0.5;
 
-/// Finds contours; keeps its memory.
+/// Finds contours; with reusable buffers.
 #[derive(Default)]
 pub struct Contour {
     /// For each corner how far it lies inside, 0 to 1.
@@ -23,13 +24,13 @@ pub struct Contour {
 }
 
 impl Contour {
-    /// How far each corner lies inside the surface: 1 inside, [`RIM`] on its rim.
+    /// Depth of each corner inside the surface: 1 inside, [`RIM`] on its rim.
     pub fn inside(&self) -> &[f32] {
         &self.inside
     }
 
-    /// Measures a grid of `width`, and continues each surface by one corner beyond its rim, so that a rim between corners can be drawn. `place` gives
-    /// pixel and depth of a place in the camera's frame.
+    /// Measures a grid of `width`, and continues each surface by one corner beyond its rim, so that a rim between
+    /// corners can be drawn. `place` projects a point in the camera's frame to pixel and depth.
     pub fn find(
         &mut self,
         corners: &mut [Corner],
@@ -102,7 +103,7 @@ impl Contour {
     }
 }
 
-/// Position of a corner of the window; the picture's own edge is no rim, so what lies beyond it is like what lies opposite.
+/// Position of a corner of the window; the image's border is not a rim, so values beyond it are mirrored.
 fn mirrored(at: usize, step: usize, end: usize) -> usize {
     let wanted = at as isize + step as isize - REACH as isize;
     let last = end as isize - 1;
@@ -110,7 +111,7 @@ fn mirrored(at: usize, step: usize, end: usize) -> usize {
     (if inside > last { 2 * last - inside } else { inside }).clamp(0, last) as usize
 }
 
-/// Neighbours of a corner and those behind them.
+/// Neighbours of a corner and the next ones in the same directions.
 fn around(size: (usize, usize), at: usize) -> impl Iterator<Item = (usize, Option<usize>)> {
     const STEPS: [(isize, isize); 8] = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)];
     let (width, height) = (size.0 as isize, size.1 as isize);
@@ -121,7 +122,8 @@ fn around(size: (usize, usize), at: usize) -> impl Iterator<Item = (usize, Optio
     STEPS.into_iter().filter_map(move |(dx, dy)| Some((index(x + dx, y + dy)?, index(x + 2 * dx, y + 2 * dy))))
 }
 
-/// The place where the surface beside an unknown corner goes on: the mean of the lines through two known corners in a row; `None` without a neighbour.
+/// Extrapolated position of an unknown corner: the mean of the lines through two known corners in a row; `None` without
+/// a neighbour.
 fn beyond(corners: &[Corner], size: (usize, usize), at: usize, limit: GradientLimit) -> Option<[f32; 3]> {
     let known = |index: &usize| is_known(&corners[*index]);
     let (first, _) = around(size, at).find(|(near, _)| known(near))?;

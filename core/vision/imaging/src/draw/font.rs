@@ -1,4 +1,4 @@
-//! The font of [`text`](super::text()): Roboto Medium, drawn once per size and kept.
+//! The font of [`text`](super::text()): Roboto Medium, rasterized once per size and cached.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -16,11 +16,11 @@ pub const CAPITAL_HEIGHT: f32 = 6.0;
 pub const LINE_HEIGHT: f32 = 10.0;
 /// From the top of capitals to the lowest descender, in units of the scale of text.
 pub const HEIGHT: f32 = 8.0;
-/// Positions of a letter between two pixels that are drawn apart.
+/// Number of sub-pixel positions at which a letter is rasterized.
 const PARTS: u32 = 4;
 /// Sizes are rounded to this part of a scale of 1.
 const SIZE_PARTS: f32 = 16.0;
-/// Letters that a thread keeps.
+/// Maximum number of cached letters per thread.
 const KEPT: usize = 4096;
 
 static FONT: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| FontRef::try_from_slice(BYTES).ok());
@@ -42,7 +42,7 @@ pub struct Letter {
     pub at: [i32; 2],
     /// Width and height, px.
     pub size: [usize; 2],
-    /// The letter itself.
+    /// Coverage of the letter itself.
     pub ink: Vec<u8>,
     /// The letter made wider by the outline's width, ink included.
     pub outline: Vec<u8>,
@@ -56,7 +56,7 @@ fn pixels(size: u32) -> PxScale {
     PxScale::from(size as f32 / SIZE_PARTS * CAPITAL_HEIGHT / CAPITAL)
 }
 
-/// Whether the font has every letter of a text.
+/// Whether the font has a glyph for every character of a text.
 pub fn is_drawable(text: &str) -> bool {
     let Some(font) = FONT.as_ref() else { return false };
     text.chars().all(|character| character.is_whitespace() || glyph_of(font, character) != GlyphId(0))

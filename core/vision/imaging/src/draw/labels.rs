@@ -1,4 +1,4 @@
-//! Room for labels: where words about a box or a point stand so that all of them can be read.
+//! Placement of labels next to boxes and points without overlaps.
 
 /// An upright rectangle in pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -27,10 +27,10 @@ impl Area {
     }
 }
 
-/// Step of the search for free room where no usual place of a label is free, pixels.
+/// Step of the search for free room when no usual position of a label is free, pixels.
 const STEP_PX: f32 = 4.0;
 
-/// The areas of a picture that are taken. Keeps its memory from one picture to the next.
+/// Occupied areas of an image. Reuses its memory between images.
 #[derive(Clone, Debug, Default)]
 pub struct Labels {
     width: f32,
@@ -39,7 +39,7 @@ pub struct Labels {
 }
 
 impl Labels {
-    /// Begins a picture of `width` x `height` pixels in which nothing is taken.
+    /// Begins an image of `width` x `height` pixels with all of its area free.
     pub fn begin(&mut self, width: usize, height: usize) {
         (self.width, self.height) = (width as f32, height as f32);
         self.taken.clear();
@@ -52,15 +52,16 @@ impl Labels {
         }
     }
 
-    /// All areas that are taken, labels included, in the order in which they were taken.
+    /// All occupied areas, labels included, in order.
     pub fn taken(&self) -> &[Area] {
         &self.taken
     }
 
-    /// Takes room for a label of `size` (width, height in pixels) about `anchor` and returns its upper left corner.
+    /// Reserves an area for a label of `size` (width, height in pixels) about `anchor` and returns its upper left
+    /// corner.
     ///
-    /// The label overlaps nothing that is taken and lies inside the picture: above the anchor, else inside at its top, below it, beside it,
-    /// else at the nearest free place. `None` when the picture has no room left for it, or a coordinate is not finite.
+    /// The label overlaps no occupied area and is inside the image: above the anchor, else inside at its top, below it,
+    /// next to it, else at the nearest free position. `None` if there is no free area, or a coordinate is not finite.
     pub fn place(&mut self, anchor: Area, size: (f32, f32)) -> Option<(f32, f32)> {
         let (w, h) = size;
         let fits = w > 0.0 && h > 0.0 && w <= self.width && h <= self.height;
@@ -94,7 +95,7 @@ impl Labels {
         Some(at)
     }
 
-    /// Takes room for a label of `size` with its upper left corner at `at`, if that is free and inside the picture.
+    /// Reserves an area for a label of `size` with its upper left corner at `at`, if it is free and inside the image.
     pub fn place_at(&mut self, at: (f32, f32), size: (f32, f32)) -> Option<(f32, f32)> {
         let inside = at.0 >= 0.0 && at.1 >= 0.0 && at.0 + size.0 <= self.width && at.1 + size.1 <= self.height;
         if !inside || !self.is_free(at, size) {
@@ -109,7 +110,7 @@ impl Labels {
         !self.taken.iter().any(|t| t.overlaps(&area))
     }
 
-    /// The free place whose middle is nearest to the anchor's, on a grid.
+    /// The free position on a grid whose centre is nearest to the anchor's.
     fn nearest(&self, anchor: Area, size: (f32, f32)) -> Option<(f32, f32)> {
         let middle = (anchor.x + (anchor.width - size.0) / 2.0, anchor.y + (anchor.height - size.1) / 2.0);
         let (columns, rows) = ((self.width - size.0) / STEP_PX, (self.height - size.1) / STEP_PX);
@@ -143,7 +144,7 @@ mod tests {
         labels
     }
 
-    /// Nothing that is taken overlaps, and from `first` on all lies in the picture.
+    /// Nothing that is taken overlaps, and from `first` on all lies in the image.
     fn all_apart(labels: &Labels, first: usize) {
         let taken = labels.taken();
         for (k, a) in taken.iter().enumerate() {

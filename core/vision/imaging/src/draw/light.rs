@@ -1,11 +1,12 @@
-//! The light on a surface, by the normal of what is around each corner.
+//! Lighting of a surface by the normal around each corner.
 
 use super::corner::{Corner, is_known};
 
-/// Corners over which a normal is measured, to each side.
+/// Radius in corners over which a normal is measured.
 const REACH: usize = 2;
 
-/// Lights each corner by the normal of what is around it: `shading` darkens what turns away from a viewer along `view` (a unit vector).
+/// Lights each corner by the normal around it: `shading` darkens surfaces that face away from a viewer along `view` (a
+/// unit vector).
 pub fn light(corners: &mut [Corner], width: usize, view: [f32; 3], shading: f32) {
     let height = corners.len() / width;
     for at in 0..corners.len() {

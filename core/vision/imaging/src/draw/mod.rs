@@ -1,6 +1,6 @@
 //! Drawing: lines, boxes, text, colour maps.
 //!
-//! Everything draws on BGR views of bytes, clips to the picture, ignores coordinates that are not finite and gives the
+//! Everything draws on BGR views of bytes, clips to the image, ignores coordinates that are not finite and gives the
 //! same bytes on every machine.
 
 mod colormap;

@@ -1,10 +1,11 @@
-//! Masks laid over a picture, and the legend of a colour scale.
+//! Masks blended over an image, and the legend of a colour scale.
 
 use super::{Color, Colormap, shapes, text};
 use crate::{View, ViewMut};
 use std::fmt::Write;
 
-/// Lays `color` over the pixels where `mask` (gray) is not zero; a mask value of 255 counts fully, `alpha` 0..=1 scales it.
+/// Blends `color` over the pixels where `mask` (gray) is not zero; a mask value of 255 counts fully, `alpha` 0..=1
+/// scales it.
 pub fn blend_mask(out: &mut ViewMut<u8>, mask: &View<u8>, color: Color, alpha: f32) {
     if out.channels != 3 || mask.channels != 1 || alpha.is_nan() {
         return;
@@ -40,7 +41,7 @@ pub struct ScaleBar<'a> {
     pub unit: &'a str,
     /// Colours of the values.
     pub map: Colormap,
-    /// Labels with numbers, two or more, evenly spaced. 0 says near and far at the ends instead.
+    /// Labels with numbers, two or more, evenly spaced. 0 writes near and far at the ends instead.
     pub labels: usize,
     /// Scale of the text, see [`text`](super::text()).
     pub text_scale: f32,

@@ -1,4 +1,4 @@
-//! Where a surface ends: corners that lie between two surfaces, islands and ragged rims are taken out.
+//! Cleans the edges of surfaces: removes corners between two surfaces, islands and ragged rims.
 
 use crate::pieces;
 
@@ -7,41 +7,40 @@ pub type Position = [f32; 3];
 
 const UNKNOWN: Position = [f32::NAN; 3];
 
-/// Number of spans over which slopes are measured that fit into a row of corners, and the least number of corners on each side of a span's middle.
-/// Matching and smoothing draw a step of depth out into a ramp of up to 2.5 % of the view's width.
+/// Number of spans over which slopes are measured per row of corners. Matching and smoothing turn a step of depth into
+/// a ramp of up to 2.5 % of the view's width.
 const SPANS_PER_ROW: usize = 40;
 const MIN_REACH: usize = 2;
-/// Gradient over a span from which it lies on a ramp between two surfaces, as a share of the limit between neighbours, and the gradient down to which a
-/// ramp goes on beside such a span or beside a hole. With one limit for both, threads stay across a step where the width of its ramp varies.
+/// Minimum gradient over a span that counts as a ramp between two surfaces, as a share of the limit between neighbours.
 const RAMP_SHARE: f32 = 0.2;
 const RAMP_END_SHARE: f32 = 0.083;
 /// Directions of spans.
 const ROW: u8 = 1;
 const COLUMN: u8 = 2;
-/// Change of depth by the distance across the line of sight (76 degrees) up to which a span is a surface. Seen at a smaller angle a view shows next to
-/// nothing of a surface, and tissue far away has gradients below those limits.
+/// Maximum change of depth per distance across the line of sight (76 degrees) of a surface. At a smaller angle a view
+/// shows almost nothing of a surface, and distant tissue has gradients below the other limits.
 const GRAZING_SLOPE: f32 = 4.0;
 /// Smallest piece of a surface, as a share of all corners.
 const MIN_PIECE: f32 = 0.004;
-/// Largest gradient at a rim, as a share of the limit between neighbours, and how many corners of a steeper one are cut at most: a step of one
-/// corner is a long tooth there when it is seen from the side.
+/// Maximum gradient at a rim, as a share of the limit between neighbours; seen from the side, a step of one corner is a
+/// long tooth.
 const RIM_SHARE: f32 = 0.2;
 const RIM_ROUNDS: usize = 6;
-/// Neighbours of eight that a corner of a rim has, and known corners of the 25 around it, its own included: a straight rim has 15.
+/// Minimum number of the eight neighbours of a corner at a rim.
 const MIN_NEIGHBOURS: usize = 4;
 const MIN_AROUND: u8 = 12;
-/// Number of strips along the picture's edge that fit into a row of corners, and their least width in corners: a surface goes further inward than that.
+/// Number of strips along the image's edge per row of corners; a surface extends further inward than one strip.
 const STRIPS_PER_ROW: usize = 53;
 const MIN_STRIP: usize = 2;
-/// How often rims are smoothed.
+/// Number of smoothing passes.
 const ROUNDS: usize = 3;
 
-/// Cleans rims; keeps its memory.
+/// Cleans rims; with reusable buffers.
 #[derive(Default)]
 pub struct Rims {
     is_out: Vec<bool>,
     is_seed: Vec<bool>,
-    /// In which directions the span through a corner is slanted.
+    /// Directions in which the span through a corner is slanted.
     slants: Vec<u8>,
     is_visited: Vec<bool>,
     piece: Vec<usize>,
@@ -56,10 +55,11 @@ fn is_known(point: &Position) -> bool {
     !point[0].is_nan()
 }
 
-/// Where neighbouring points belong to different surfaces: a limit of the disparity gradient, the change of disparity by the distance across the picture.
+/// Separates neighbouring points of different surfaces by a limit of the disparity gradient, the change of disparity
+/// per distance across the image.
 ///
-/// A limit of slopes would not do: one step of disparity is the steeper, the farther the tissue and the closer together the cameras. People fuse gradients
-/// up to about 1 (Burt and Julesz, 1980).
+/// A limit of slopes is unsuitable, because one step of disparity is steeper for more distant tissue and a smaller
+/// baseline. Human vision fuses gradients up to about 1 (Burt and Julesz, 1980).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GradientLimit {
     /// Largest change of disparity between neighbours of one surface, px by px.
@@ -71,13 +71,13 @@ pub struct GradientLimit {
 impl GradientLimit {
     /// Largest gradient of surfaces.
     pub const USUAL_GRADIENT: f32 = 1.5;
-    /// Baseline where no calibration states it, mm: that of narrow scopes, at which the fewest surfaces are cut.
+    /// Baseline without a calibration, mm: that of narrow scopes, for which the fewest surfaces are cut.
     pub const USUAL_BASELINE_MM: f32 = 5.0;
 
     /// Whether two points in the camera's frame (mm, z forward) lie on different surfaces.
     ///
-    /// Off the camera's axis points on one line of sight differ in x and y too. That is no distance across: a step in depth near the picture's edge would
-    /// pass for a slope.
+    /// Off the camera's axis points on one line of sight differ in x and y too. This is not a distance across:
+    /// otherwise a step in depth near the image's edge would pass for a slope.
     pub fn parts(self, a: Position, b: Position) -> bool {
         // Both sides multiplied by the depths: disparity is baseline / z, a place in the picture (x, y) / z.
         let [x, y] = [0, 1].map(|k| b[k] * a[2] - a[k] * b[2]);
@@ -85,12 +85,13 @@ impl GradientLimit {
         step * step > self.max_gradient * self.max_gradient * (x * x + y * y).max(1e-9)
     }
 
-    /// Whether two points next to a rim lie on different surfaces. What is no step there may be the rest of a ramp.
+    /// Whether two points next to a rim lie on different surfaces. A smaller limit applies there, because it may be the
+    /// rest of a ramp.
     pub fn parts_at_rim(self, a: Position, b: Position) -> bool {
         self.parts(a, b) || self.is_ramp(a, b)
     }
 
-    /// Whether a ramp goes on from one point to the other.
+    /// Whether a ramp continues from one point to the other.
     fn is_ramp(self, a: Position, b: Position) -> bool {
         self.scaled(RAMP_END_SHARE).parts(a, b) && is_grazing(a, b)
     }
@@ -107,21 +108,21 @@ impl Default for GradientLimit {
     }
 }
 
-/// Whether a surface through two points is seen at so small an angle that it is a step between two surfaces rather.
+/// Whether a surface through two points is seen at such a small angle that it is rather a step between two surfaces.
 fn is_grazing(a: Position, b: Position) -> bool {
     let [x, y] = [0, 1].map(|k| b[k] * a[2] - a[k] * b[2]);
     let depth = b[2] - a[2];
     depth * depth * a[2] * b[2] > GRAZING_SLOPE * GRAZING_SLOPE * (x * x + y * y)
 }
 
-/// The index `step` from `at`. The picture's own edge is no rim: what lies beyond it is like what lies opposite.
+/// The index `step` from `at`. The image's border is not a rim, so indices beyond it are mirrored.
 fn mirrored(at: isize, step: isize, end: usize) -> usize {
     let to = at + step;
     let inside = if (0..end as isize).contains(&to) { to } else { at - step };
     inside.clamp(0, end as isize - 1) as usize
 }
 
-/// Corners that share the edge of a triangle with one, and the direction of that edge; 0 across both.
+/// Corners that share a triangle's edge with a corner, and the direction of that edge; 0 across both.
 fn linked(at: usize, (width, height): (usize, usize)) -> impl Iterator<Item = (usize, u8)> {
     let column = at % width;
     let (left, right) = (column > 0, column + 1 < width);
@@ -138,8 +139,8 @@ fn linked(at: usize, (width, height): (usize, usize)) -> impl Iterator<Item = (u
 }
 
 impl Rims {
-    /// Takes corners out of a grid of `width` that do not belong to a surface: those on a ramp between two depths, pieces that are too small, and
-    /// teeth of rims. Holes stay holes.
+    /// Removes corners of a grid of `width` that do not belong to a surface: those on a ramp between two depths, pieces
+    /// that are too small, and teeth of rims. Holes stay holes.
     pub fn clean(&mut self, corners: &mut [Position], width: usize, limit: GradientLimit) {
         self.cut_edges(corners, width, limit);
         self.part(corners, width, limit);
@@ -149,13 +150,13 @@ impl Rims {
         self.cut_islands(corners, width, limit);
     }
 
-    /// Takes out the corners between surfaces only.
+    /// Removes only the corners between surfaces.
     pub fn part(&mut self, corners: &mut [Position], width: usize, limit: GradientLimit) {
         self.cut_ramps(corners, width, limit);
         self.cut_steep_rims(corners, width, limit);
     }
 
-    /// Number of corners that lay on ramps when they were cut last: places where nothing is known of a surface.
+    /// Number of ramp corners that the last call removed, where the surface is unknown.
     pub fn ramp_corners(&self) -> usize {
         self.ramp_corners
     }
@@ -164,7 +165,7 @@ impl Rims {
         corners.iter_mut().zip(&self.is_out).filter(|(_, out)| **out).for_each(|(corner, _)| *corner = UNKNOWN);
     }
 
-    /// Takes out narrow strips along the picture's edge: a filter spreads depths there.
+    /// Removes narrow strips along the image's edge, where a filter spreads depths.
     fn cut_edges(&mut self, corners: &mut [Position], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
         let strip = (width / STRIPS_PER_ROW).max(MIN_STRIP);
@@ -193,7 +194,7 @@ impl Rims {
         self.take_out(corners);
     }
 
-    /// Takes out the corners on ramps between two depths.
+    /// Removes the corners on ramps between two depths.
     fn cut_ramps(&mut self, corners: &mut [Position], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
         let reach = (width / (2 * SPANS_PER_ROW)).max(MIN_REACH);
@@ -240,8 +241,8 @@ impl Rims {
         self.take_out(corners);
     }
 
-    /// Puts corners back up to which a surface goes on, because spans are longer than ramps: from neighbour to neighbour along each direction in which they
-    /// are slanted. A corner that would join two surfaces stays out.
+    /// Restores corners to which a surface extends, because spans are longer than ramps: from neighbour to neighbour
+    /// along each slanted direction. A corner that would join two surfaces stays removed.
     fn put_back(&mut self, corners: &[Position], width: usize, limit: GradientLimit) {
         let size = (width, corners.len() / width);
         let mut count = usize::MAX;
@@ -263,7 +264,7 @@ impl Rims {
         }
     }
 
-    /// Takes out the corners of a rim where the surface falls away steeply.
+    /// Removes the corners of a rim where the surface falls away steeply.
     fn cut_steep_rims(&mut self, corners: &mut [Position], width: usize, limit: GradientLimit) {
         let height = corners.len() / width;
         let limit = limit.scaled(RIM_SHARE);
@@ -358,7 +359,7 @@ mod tests {
             .collect()
     }
 
-    /// Corners as a camera above the middle sees them, 0.01 of their depth apart.
+    /// Corners seen by a camera above the middle, 0.01 of their depth apart.
     fn seen(depth: impl Fn(usize, usize) -> f32) -> Vec<Position> {
         let mut corners = grid(depth);
         for (at, corner) in corners.iter_mut().enumerate().filter(|(_, corner)| is_known(corner)) {
@@ -383,8 +384,8 @@ mod tests {
         assert!((0..13).all(|x| known(&corners, x, 20)) && (28..SIDE).all(|x| known(&corners, x, 20)));
     }
 
-    /// Tissue before other tissue 70 mm behind it, seen by cameras 5.4 mm apart: the step is 14 px of disparity that the match and its filter draw
-    /// out into a ramp, over a width that differs from row to row. Columns of 2 px.
+    /// Tissue before other tissue 70 mm behind it, seen by cameras 5.4 mm apart: the step is 14 px of disparity that
+    /// matching and filtering turn into a ramp, whose width differs from row to row. Columns of 2 px.
     fn drawn_out_step() -> Vec<Position> {
         let (columns, rows, focal_px, baseline_mm) = (320, 60, 750.0, 5.4);
         let position = |at: usize| {
@@ -474,7 +475,7 @@ mod tests {
         assert!(known(&corners, 2, 2) && known(&corners, 27, 20) && known(&corners, 18, 12));
     }
 
-    /// Cleans a grid of so many columns and 40 rows as a camera sees it, and returns which corners are left.
+    /// Cleans a grid of `columns` columns and 40 rows seen by a camera, and returns which corners remain.
     fn cleaned(columns: usize, depth: impl Fn(usize, usize) -> f32) -> impl Fn(usize, usize) -> bool {
         let position = |at: usize| {
             let (x, y) = (at % columns, at / columns);

@@ -3,7 +3,7 @@
 use super::Color;
 use crate::ViewMut;
 
-/// Columns handled at once when an area is filled.
+/// Columns per step when an area is filled.
 const TILE: usize = 256;
 /// Sub-rows per row of a filled area.
 const SUB_ROWS: usize = 4;
@@ -18,7 +18,7 @@ fn mix(pixel: &mut [u8], color: Color, alpha: f32) {
     }
 }
 
-/// The whole pixels from `low` to `high`, cut to `0..length`.
+/// The whole pixels from `low` to `high`, clamped to `0..length`.
 fn clip(low: f32, high: f32, length: usize) -> std::ops::Range<usize> {
     let start = low.floor().max(0.0) as usize;
     let end = (high.ceil() + 1.0).clamp(0.0, length as f32) as usize;
@@ -57,7 +57,7 @@ pub fn line(out: &mut ViewMut<u8>, from: (f32, f32), to: (f32, f32), thickness_p
     }
 }
 
-/// Cuts a segment to the picture plus its thickness (Liang and Barsky), or `None` when nothing of it shows.
+/// Cuts a segment to the image plus its thickness (Liang and Barsky), or `None` if nothing of it is visible.
 fn shorten(
     from: (f32, f32),
     to: (f32, f32),
@@ -105,7 +105,7 @@ pub fn rectangle(out: &mut ViewMut<u8>, x: f32, y: f32, width: f32, height: f32,
     polygon(out, &corners, thickness_px, color);
 }
 
-/// A filled rectangle of whole pixels; `alpha` 0 leaves the picture, 1 covers it.
+/// A filled rectangle of whole pixels; `alpha` 0 leaves the image unchanged, 1 covers it.
 pub fn fill_rectangle(out: &mut ViewMut<u8>, x: i32, y: i32, width: i32, height: i32, color: Color, alpha: f32) {
     if out.channels != 3 || !alpha.is_finite() {
         return;
@@ -169,7 +169,7 @@ pub fn arrow(out: &mut ViewMut<u8>, from: (f32, f32), to: (f32, f32), head_px: f
     line(out, to, (to.0 - ux + 0.5 * uy, to.1 - uy - 0.5 * ux), thickness_px, color);
 }
 
-/// A filled polygon (even-odd rule), edges smooth; `alpha` 0 leaves the picture, 1 covers it.
+/// A filled polygon (even-odd rule), edges smooth; `alpha` 0 leaves the image unchanged, 1 covers it.
 pub fn fill_polygon(out: &mut ViewMut<u8>, points: &[(f32, f32)], color: Color, alpha: f32) {
     let finite = points.iter().all(|p| p.0.is_finite() && p.1.is_finite());
     if out.channels != 3 || points.len() < 3 || !finite || !alpha.is_finite() {

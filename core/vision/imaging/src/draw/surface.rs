@@ -1,6 +1,7 @@
-//! A picture of an organised point cloud from another side: the surface between neighbouring points, lit from the viewer.
+//! Renders an organised point cloud from another viewpoint: the surface between neighbouring points, lit from the
+//! viewer.
 //!
-//! Angles go through the platform's sine: unlike the rest of this module, bytes may differ between machines.
+//! Angles use the platform's sine, so that, unlike in the rest of this module, bytes may differ between machines.
 
 use std::fmt::Write;
 
@@ -16,9 +17,10 @@ use crate::ViewMut;
 pub struct DrawnPoint {
     /// Position in the camera's frame.
     pub mm: [f32; 3],
-    /// Its colour, as the camera saw it.
+    /// Its colour in the camera's image.
     pub color: Color,
-    /// Whether it was filled in from the points around it: it is drawn in [`filled_color`] and has no depth in the image.
+    /// Whether it was filled in from the points around it: it is drawn in [`filled_color`] and has no depth in the
+    /// image.
     pub is_filled: bool,
 }
 
@@ -35,24 +37,24 @@ pub fn filled_color(color: Color) -> Color {
     color.map(|value| (f32::from(value) * 0.8).round() as u8)
 }
 
-/// Viewpoint and zoom of a picture of a surface.
+/// Viewpoint and zoom of an image of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// Turn about the vertical axis through the surface's middle, radians; 0 looks as the camera did.
+    /// Turn about the vertical axis through the surface's middle, radians; 0 is the camera's view.
     pub yaw: f32,
     /// Turn about the horizontal axis, radians.
     pub pitch: f32,
-    /// Size on the picture; 1 fills it in the view from the front.
+    /// Size on the image; 1 fills it in the view from the front.
     pub zoom: f32,
-    /// Every so many points make a corner.
+    /// Spacing of corners, in points.
     pub step: usize,
-    /// Where a surface ends between neighbours.
+    /// Limit that separates surfaces between neighbours.
     pub limit: GradientLimit,
-    /// 0 shows the colours as they are, 1 darkens what is turned away.
+    /// 0 keeps the colours, 1 darkens surfaces that face away.
     pub shading: f32,
-    /// How far the surface's middle lies from the picture's, as a part of the picture's width: right, down.
+    /// Offset of the surface's middle from the image's, as a share of the image's width: right, down.
     pub shift: [f32; 2],
-    /// Whether a ruler states a length in mm.
+    /// Whether a ruler with a length in mm is drawn.
     pub has_ruler: bool,
 }
 
@@ -71,10 +73,10 @@ impl Default for Orbit {
     }
 }
 
-/// Where positions of the camera's frame stand on a picture that was painted, and back.
+/// Maps positions of the camera's frame to a painted image, and back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Projection {
-    /// What the surface turns about, mm.
+    /// Centre of rotation, mm.
     pub middle_mm: [f32; 3],
     /// Sine and cosine of yaw and of pitch.
     turn: [(f32, f32); 2],
@@ -97,7 +99,7 @@ impl Projection {
         [self.origin[0] + x1 * shrink, self.origin[1] + y1 * shrink, z2]
     }
 
-    /// Depth behind the middle, mm, from which on places stand before the viewer.
+    /// Depth behind the middle, mm, from which on positions are in front of the viewer.
     pub fn nearest_mm(&self) -> f32 {
         -1.15 * self.middle_mm[2]
     }
@@ -107,7 +109,7 @@ impl Projection {
         1.2 * mz / (1.2 * mz + z2).max(0.05 * mz)
     }
 
-    /// The place that stands at a column and row, `depth_mm` behind the middle, in mm.
+    /// The position at a column and row, `depth_mm` behind the middle, in mm.
     pub fn unproject(&self, column: f32, row: f32, depth_mm: f32) -> [f32; 3] {
         let [(sy, cy), (sp, cp)] = self.turn;
         let shrink = self.scale * self.shrink(depth_mm);
@@ -118,11 +120,11 @@ impl Projection {
     }
 }
 
-/// Draws surfaces; keeps its memory.
+/// Draws surfaces; with reusable buffers.
 #[derive(Default)]
 pub struct SurfacePainter {
     corners: Vec<Corner>,
-    /// The corners' positions, of which those between surfaces are taken out.
+    /// The corners' positions, without those between surfaces.
     positions: Vec<Position>,
     depth: Vec<f32>,
     /// Whether a pixel shows a part of the surface that was filled in.
@@ -131,14 +133,15 @@ pub struct SurfacePainter {
     rims: Rims,
     /// Share of the corners on surfaces that are cut off.
     cut_share: f32,
-    /// Words beside the ruler.
+    /// Text next to the ruler.
     length: String,
     contour: Contour,
 }
 
 const BACKGROUND: u8 = 18;
 
-/// The known point nearest to a column and row, at most `reach` away in each direction: a single point that is unknown is no hole.
+/// The known point nearest to a column and row, at most `reach` away in each direction, so that a single unknown point
+/// is not a hole.
 fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> Option<DrawnPoint> {
     if let Some(point) = points.at(x, y) {
         return Some(point);
@@ -156,7 +159,7 @@ fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> 
     None
 }
 
-/// Median of what is known, sampled.
+/// Median of the known points, sampled.
 fn median(points: &dyn SurfacePoints, axis: usize, sorted: &mut Vec<f32>) -> Option<f32> {
     let (width, height) = points.size();
     sorted.clear();
@@ -167,7 +170,7 @@ fn median(points: &dyn SurfacePoints, axis: usize, sorted: &mut Vec<f32>) -> Opt
     sorted.get(sorted.len() / 2).copied()
 }
 
-/// A round length that spans about a fifth of what is seen.
+/// A round length of about a fifth of the visible width.
 fn ruler_mm(visible_mm: f32) -> f32 {
     let wanted = visible_mm / 5.0;
     let decade = 10f32.powf(wanted.max(1e-3).log10().floor());
@@ -175,20 +178,20 @@ fn ruler_mm(visible_mm: f32) -> f32 {
 }
 
 impl SurfacePainter {
-    /// For each pixel of the last picture the depth behind the middle as in [`Projection`], infinite where nothing is and where the
-    /// surface was filled in.
+    /// For each pixel of the last image the depth behind the middle as in [`Projection`], infinite without a surface
+    /// and where it was filled in.
     pub fn depth_mm(&self) -> &[f32] {
         &self.depth
     }
 
-    /// Share of the surface points of the last picture that were known and are not shown, because they lie close to a step of depth or at ragged rims.
-    /// Points on the ramp that a match draws between two depths are not part of a surface.
+    /// Share of the surface points of the last image that are known but not drawn, because they are close to a step
+    /// of depth or at ragged rims. Points on the ramp between two depths do not count as surface.
     pub fn cut_share(&self) -> f32 {
         self.cut_share
     }
 
-    /// Draws the surface into `out` (BGR), if wanted with a ruler of its length in mm at the position of its middle. Nothing known leaves the background
-    /// and returns `None`.
+    /// Draws the surface into `out` (BGR), optionally with a ruler in mm at the depth of its middle. Without known
+    /// points it draws only the background and returns `None`.
     pub fn paint(
         &mut self,
         points: &dyn SurfacePoints,
@@ -286,7 +289,7 @@ impl SurfacePainter {
         self.sorted.get(self.sorted.len() * 98 / 100).copied().unwrap_or(1.0)
     }
 
-    /// Draws what lies within the surface's rim of the triangle between three corners.
+    /// Draws the part of the triangle between three corners that is inside the surface's rim.
     fn triangle(&mut self, out: &mut ViewMut<'_, u8>, limit: GradientLimit, corners: [usize; 3]) {
         let t = corners.map(|at| self.corners[at]);
         let inside = corners.map(|at| self.contour.inside()[at]);
@@ -390,7 +393,7 @@ mod tests {
         assert!(inside[..last].iter().any(|b| !**b), "a gap between the two halves");
     }
 
-    /// Tissue at 67 mm and, at the picture's right edge, an instrument 45 mm away, as a camera sees them.
+    /// Tissue at 67 mm and, at the image's right edge, an instrument 45 mm away, as a camera sees them.
     struct Instrument;
     impl SurfacePoints for Instrument {
         fn size(&self) -> (usize, usize) {
@@ -417,7 +420,8 @@ mod tests {
         }
     }
 
-    /// A wall 60 mm away as cameras with a short baseline measure it: disparity in steps of one px of 67, which are 0.9 mm each.
+    /// A wall 60 mm away as cameras with a short baseline measure it: disparity in steps of one px of 67, which are 0.9
+    /// mm each.
     struct Terraces;
     impl SurfacePoints for Terraces {
         fn size(&self) -> (usize, usize) {

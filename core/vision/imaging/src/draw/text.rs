@@ -1,10 +1,10 @@
-//! Text with a dark outline, so that it reads on any picture.
+//! Text with a dark outline, so that it is legible on any image.
 
 use super::Color;
 use super::font::{self, CAPITAL_HEIGHT, HEIGHT, LINE_HEIGHT, Letter};
 use crate::ViewMut;
 
-/// Largest coordinate of text, px: beyond it nothing can be seen.
+/// Maximum coordinate of text, px; text beyond it is never visible.
 const FAR_PX: f32 = 1e6;
 
 /// Writes `text` with its top left corner at `(x, y)`; a capital is `6 * scale` pixels high. `\n` starts a line.
@@ -33,7 +33,7 @@ pub fn text(out: &mut ViewMut<u8>, x: f32, y: f32, text: &str, scale: f32, color
     }
 }
 
-/// Lays `color` over the pixels that a letter with its pen at `at` covers.
+/// Blends `color` over the pixels that a letter with its pen at `at` covers.
 fn blend(out: &mut ViewMut<u8>, letter: &Letter, coverage: &[u8], at: [i32; 2], color: Color) {
     let [width, _] = letter.size;
     if width == 0 {

@@ -1,8 +1,8 @@
 //! SURF descriptor of one keypoint, from samples of the image pyramid.
 //!
-//! Bay et al. 2008, section 4.2: Haar responses of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy, |dx|, |dy|
-//! over 4 x 4 sub-regions. Neighbouring sub-regions overlap (Agrawal, Konolige, Blas, "CenSurE",
-//! ECCV 2008, section 3.4), so that a sample near a border does not jump between two of them.
+//! Bay et al. 2008, section 4.2: Haar responses of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy,
+//! |dx|, |dy| over 4 x 4 sub-regions. Neighbouring sub-regions overlap (Agrawal, Konolige, Blas, "CenSurE", ECCV 2008,
+//! section 3.4), so that a sample near a border does not jump between two of them.
 
 use super::patch::{Grid, PATCH, Patch};
 use super::pyramid::Pyramid;
@@ -12,7 +12,7 @@ use crate::Simd;
 /// Elements of a descriptor.
 pub const DESCRIPTOR_LEN: usize = 64;
 
-/// A descriptor of unit length (all zero where the image is flat), aligned to a cache line.
+/// A descriptor of unit length (all zero if the image is flat), aligned to a cache line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub struct Descriptor(pub [f32; DESCRIPTOR_LEN]);
@@ -66,9 +66,10 @@ const WINDOW_SIGMA: f64 = 6.0;
 /// Gaussian over one sub-region, and how far it reaches, in samples.
 const REGION_SIGMA: f64 = 2.0;
 const REGION_REACH: f64 = 3.0;
-/// Windows of the extended descriptor over the usual one. On Graffiti and on fourteen warped photographs every pair of windows
-/// with a narrow one of 0.5 to 0.8 and a wide one two to four times that gave more right matches than 64 elements; these lie in
-/// the middle. Sums split by the sign of the other derivative (SURF-128 of Bay et al.) gave fewer.
+/// Relative size of the narrow window of the extended descriptor. On Graffiti and on fourteen warped photographs all
+/// pairs of a narrow window of 0.5 to 0.8 and a wide one two to four times that gave more correct matches than 64
+/// elements; these values are in the middle. Sums split by the sign of the other derivative (SURF-128 of Bay et al.)
+/// gave fewer.
 const NARROW: f32 = 0.6;
 const WIDE: f32 = 1.8;
 /// Descriptor of the keypoint at `(x, y)` with scale `s` (pixels) and angle (radians).
@@ -96,8 +97,8 @@ pub(crate) fn describe(
 
 /// Extended descriptor of 128 elements: one of a narrow window, one of a wide one, together of unit length.
 ///
-/// The narrow window distinguishes details and tolerates changes of viewpoint, the wide one distinguishes repeated details by what
-/// surrounds them. Where one window is flat, the other counts alone.
+/// The narrow window distinguishes details and tolerates changes of viewpoint, the wide one distinguishes repeated
+/// details by their surroundings. If one window is flat, only the other is used.
 pub(crate) fn describe_extended(
     simd: Simd,
     tables: &Tables,
@@ -126,7 +127,7 @@ fn slopes(patch: &Patch, i: usize, j: usize) -> (f32, f32) {
     ((a[i + 1] + b[i + 1]) - (a[i] + b[i]), (b[i + 1] - a[i + 1]) + (b[i] - a[i]))
 }
 
-/// First sample that the vector of sub-region `r` holds: its samples fit eight.
+/// First sample in the vector of sub-region `r`, whose samples fit into eight lanes.
 const fn first_of(r: usize) -> usize {
     if r == 0 { 0 } else { 5 * r - 1 }
 }
@@ -167,7 +168,7 @@ fn summarise(tables: &Tables, patch: &Patch, out: &mut Descriptor) {
     }
 }
 
-/// What brings a descriptor with this sum of squares to unit length.
+/// Factor that brings a descriptor with this sum of squares to unit length.
 fn scale_of(squares: f32) -> f32 {
     if squares > 1e-12 { 1.0 / squares.sqrt() } else { 0.0 }
 }

@@ -5,7 +5,7 @@
 
 use crate::geometry::{Homography, Point};
 
-/// How many keypoints of one image are found again in the other.
+/// Number of keypoints of one image that are found again in the other.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Repeatability {
     /// One-to-one pairs closer than the tolerance.
@@ -16,12 +16,12 @@ pub struct Repeatability {
     pub share: f64,
 }
 
-/// How many matches are right.
+/// Share of correct matches.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Precision {
-    /// Matches within the tolerance of the truth.
+    /// Matches within the tolerance of the ground truth.
     pub correct: usize,
-    /// Number of matches that were judged.
+    /// Number of evaluated matches.
     pub total: usize,
     /// `correct / total`, 0 when there are none.
     pub share: f64,
@@ -37,8 +37,8 @@ fn inside(point: Point, size: (usize, usize)) -> bool {
 
 /// Share of keypoints seen by both images that have a partner within `tolerance_px` of the second image.
 ///
-/// `second_from_first` is the truth; sizes are (width, height). Only keypoints whose counterpart lies in the
-/// other image count. Pairs are one to one, nearest first.
+/// `second_from_first` is the ground truth; sizes are (width, height). Only keypoints whose counterpart is in the other
+/// image are counted. Pairs are one to one, nearest first.
 pub fn repeatability(
     first: &[Point],
     second: &[Point],
@@ -81,7 +81,7 @@ pub fn repeatability(
     Repeatability { repeated, possible, share: share(repeated, possible) }
 }
 
-/// Share of matches (index in `first`, index in `second`) that lie within `tolerance_px` of the truth.
+/// Share of matches (index in `first`, index in `second`) within `tolerance_px` of the ground truth.
 ///
 /// Distances are measured in the second image. Indices out of range count as wrong.
 pub fn precision(

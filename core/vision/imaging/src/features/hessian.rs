@@ -10,7 +10,7 @@ use crate::{Parallel, SharedMut, Simd};
 
 /// Grid rows per chunk; a multiple of every octave's step, so that shared rows have one writer.
 const BAND_ROWS: usize = 16;
-/// Octaves at most: bands of 16 rows can serve three coarser octaves.
+/// Maximum number of octaves: bands of 16 rows can serve three coarser octaves.
 pub(crate) const MAX_OCTAVES: usize = 4;
 /// Relative weight of Dxy in the determinant, squared (0.9, Bay et al. 2008, equation 4).
 const XY_WEIGHT: f32 = 0.81;
@@ -26,7 +26,7 @@ pub(crate) struct Extremum {
     pub size: f32,
     /// Determinant of the Hessian.
     pub response: f32,
-    /// What keypoints are ranked by.
+    /// Value by which keypoints are ranked.
     pub rank: f32,
     /// Sign of the trace: 1 for dark blobs on bright ground, -1 for bright ones on dark ground.
     pub laplacian: i8,
@@ -482,7 +482,7 @@ fn scan_row_avx2(cross: &Cross<'_>, mut x: usize, end: usize, threshold: f32, hi
     x
 }
 
-/// Tests the 26 neighbours and fits a quadratic (Brown and Lowe 2002) for the exact place and size.
+/// Tests the 26 neighbours and fits a quadratic (Brown and Lowe 2002) for the exact position and size.
 fn refine<'a>(
     integral: &Integral,
     octave: &Octave,
@@ -539,7 +539,7 @@ fn refine<'a>(
     })
 }
 
-/// Sign of Dxx + Dyy at a place where the filter lies inside the image.
+/// Sign of Dxx + Dyy at a position where the filter is inside the image.
 fn trace_sign(integral: &Integral, size: usize, x: usize, y: usize) -> i8 {
     let (lobe, half) = (size / 3, size / 2);
     // Sum of the columns `x - half..=x + half` less three times the middle ones, and the same with rows and columns exchanged;

@@ -8,8 +8,8 @@ const BAND_ROWS: usize = 32;
 
 /// Sums of all pixels above and to the left: `at(x, y)` covers columns `0..x` and rows `0..y`.
 ///
-/// Sums wrap at 2^32. Differences of four corners are right nevertheless as long as one box sums
-/// to less than 2^32, so any image size will do.
+/// Sums wrap at 2^32. Differences of four corners are still correct while one box sums to less than 2^32, so any image
+/// size works.
 #[derive(Clone, Debug, Default)]
 pub struct Integral {
     data: Vec<u32>,

@@ -1,8 +1,9 @@
-//! Refines a keypoint with Gaussian derivatives, which makes position, strength and shape independent of the image's rotation.
+//! Refines a keypoint with Gaussian derivatives, which makes position, strength and shape independent of the image's
+//! rotation.
 //!
 //! Box filters respond differently to a rotated pattern, which shifts keypoints and reorders them. Candidates are few,
-//! so the determinant of the Gaussian Hessian (Lindeberg 1998) can be afforded there: it is evaluated on 3 x 3 places
-//! half a scale apart; its maximum gives the place, its value the strength.
+//! so the determinant of the Gaussian Hessian (Lindeberg 1998) is affordable: it is evaluated at 3 x 3 positions half a
+//! scale apart; its maximum gives the position, its value the strength.
 
 use super::patch::{Grid, ROW};
 use super::pyramid::{Pyramid, VALUE_SCALE};
@@ -10,7 +11,7 @@ use super::sampling::sample;
 use crate::Simd;
 use crate::simd::dispatch;
 
-/// Gaussian that responds to the same blobs as the box filter of SURF scale 1 (measured).
+/// Sigma of the Gaussian that responds to the same blobs as the box filter of SURF scale 1 (measured).
 const SIGMA_PER_SCALE: f32 = 1.25;
 /// Samples per sigma.
 const PER_SIGMA: f32 = 2.0;
@@ -74,7 +75,7 @@ impl Kernels {
     }
 }
 
-/// Looks at the candidate at `(x, y)` of scale `s`, in pixels of the pyramid's finest level.
+/// Refines the candidate at `(x, y)` of scale `s`, in pixels of the pyramid's finest level.
 pub(crate) fn refine(simd: Simd, kernels: &Kernels, pyramid: &Pyramid, x: f32, y: f32, scale: f32) -> Refined {
     let sigma = scale * SIGMA_PER_SCALE;
     let step = sigma / PER_SIGMA;
@@ -113,7 +114,7 @@ fn place(simd: Simd, kernels: &Kernels, pyramid: &Pyramid, x: f32, y: f32, sigma
     (dx, dy, centre + 0.5 * (gx * dx + gy * dy))
 }
 
-/// Second derivatives (xx, xy, yy) at 3 x 3 places.
+/// Second derivatives (xx, xy, yy) at 3 x 3 positions.
 #[inline(always)]
 fn differentiate(kernels: &Kernels, patch: &[[f32; ROW]; SIDE], out: &mut [[[f32; 3]; 3]; 3]) {
     for (shift, line) in out.iter_mut().enumerate() {

@@ -12,17 +12,17 @@ use crate::{Parallel, SharedMut, Simd};
 const QUANTUM: f32 = 8191.0;
 const PAIRS: usize = DESCRIPTOR_LEN / 2;
 const LANES: usize = 8;
-/// Queries compared with a block at once.
+/// Queries compared with a block per step.
 const QUERIES: usize = 4;
 /// Queries per chunk.
 const CHUNK: usize = 32;
-/// Score of something that is not there.
+/// Score of a missing descriptor.
 const NOTHING: i32 = i32::MIN / 2;
 
-/// How to match.
+/// Parameters of the matching.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchParams {
-    /// Largest ratio of the best to the second-best distance (Lowe 2004); 1 or more keeps everything.
+    /// Largest ratio of the best to the second-best distance (Lowe 2004); 1 or more accepts all.
     pub ratio: f32,
     /// Keeps a pair only when each is the other's best.
     pub mutual: bool,
@@ -98,7 +98,7 @@ struct Side {
     rows: Vec<[i32; PAIRS]>,
     /// The same, eight slots interleaved: `parts` arrays for each block.
     blocks: Vec<[[i32; LANES]; PAIRS]>,
-    /// Squared length of each slot's descriptor; so large for padding that it never wins.
+    /// Squared length of each slot's descriptor; very large for padding, which therefore never wins.
     norms: Vec<[i32; LANES]>,
     /// Positions in the left frame, for gating.
     x: Vec<[f32; LANES]>,
@@ -222,8 +222,8 @@ impl Matcher {
 
     /// Matches `left` with `right`; `out` is replaced, in the order of the left keypoints.
     ///
-    /// With a gate only keypoints within its radius compete, for the second place too. A lone candidate
-    /// has no second and passes the ratio test only inside a gate. Descriptors of different lengths do not match.
+    /// With a gate only keypoints within its radius compete, also for second best. A lone candidate has no second and
+    /// passes the ratio test only inside a gate. Descriptors of different lengths do not match.
     pub fn match_features(
         &mut self,
         left: &Features,

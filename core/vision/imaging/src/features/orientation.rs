@@ -67,7 +67,8 @@ impl Scratch {
 
 /// Haar responses and where they point.
 struct Votes {
-    /// Sums of four by one samples, and the fall over two rows each; three more, so that the last row can be read like the others.
+    /// Sums of four by one samples, and the fall over two rows each; three more, so that the last row can be read like
+    /// the others.
     all: [f32; VOTES + 3],
     fall: [f32; VOTES + 3],
     pair: [[f32; 2]; VOTES],
@@ -137,7 +138,7 @@ fn vote(weights: &TurnWeights, patch: &Patch, votes: &mut Votes) {
     }
 }
 
-/// The longest sum of `SECTOR_BINS` neighbouring bins around the circle; the first one where several are as long.
+/// The longest sum of `SECTOR_BINS` neighbouring bins around the circle; the first one of equal sums.
 #[inline(always)]
 fn strongest(sums: &[[[f32; 2]; BINS]; 2], sectors: &mut Sectors) -> [f32; 2] {
     const _: () = assert!(SECTOR_BINS == 12 && BINS.is_multiple_of(8));

@@ -1,4 +1,4 @@
-//! Where the samples of a keypoint's surroundings lie on a pyramid level.
+//! Positions of the samples around a keypoint on a pyramid level.
 
 use super::pyramid::{Level, Pyramid};
 
@@ -12,7 +12,7 @@ pub(super) type Patch = [[f32; ROW]; PATCH];
 /// The pyramid level is the one on which s is at least this many pixels.
 const MIN_STEP: f32 = 1.0;
 
-/// Where a patch lies on a pyramid level.
+/// Position of a patch on a pyramid level.
 #[derive(Clone, Copy)]
 pub(crate) struct Grid {
     /// Position of the patch's centre, in pixels of the level.

@@ -13,7 +13,7 @@ pub(crate) const LEVELS: usize = 5;
 /// Level values are gray levels times this.
 pub(crate) const VALUE_SCALE: f32 = 16.0;
 
-/// One level: 16-bit values, rows padded so that a vector load may run over the end.
+/// One level: 16-bit values, rows padded so that a vector load may exceed the end.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Level {
     pub data: Vec<u16>,

@@ -1,4 +1,4 @@
-//! Registration of two views by SURF, on whole frames or on the overlap seen last (thesis, chapter 2, Alg. 2.2).
+//! Registration of two views by SURF, on whole frames or on the last known overlap (thesis, chapter 2, Alg. 2.2).
 
 use super::matching::{Gate, Match, MatchParams, Matcher};
 use super::strips::{Search, Sizes, Strips, narrow, narrow_surf};
@@ -11,46 +11,49 @@ use crate::geometry::{
 };
 use crate::{Parallel, Serial, SharedMut, View};
 
-/// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
+/// Minimum width of an overlap for the larger filters; below it the next search covers whole frames.
 const MIN_ROI_PX: usize = 48;
-/// Fewer matches than this agree by chance on a shift of a narrow overlap.
+/// Minimum number of inliers in a narrow overlap; fewer agree on a shift by chance.
 const MIN_NARROW_INLIERS: usize = 8;
-/// The homography before also stays while it explains the matches worse by no more than this share.
+/// The previous homography is also kept while its error on the matches is larger by at most this share.
 const STILL_TOLERANCE: f64 = 0.1;
 
-/// How to register.
+/// Parameters of the registration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegisterParams {
     /// Features of both views.
     pub surf: SurfParams,
-    /// Searches the overlap of the frame before, shrunk; otherwise whole frames at full size.
+    /// Whether the overlap of the previous frame is searched, shrunk; otherwise whole frames at full size.
     pub roi: bool,
     /// Shrink factor k of the search regions when `roi` is on (2 at 640x480).
     pub shrink: usize,
     /// Matching.
     pub matching: MatchParams,
-    /// Radius in which matches are sought around the place that the frame before predicts, in pixels; 0: everywhere.
+    /// Radius in which matches are searched around the position predicted from the previous frame, in pixels; 0:
+    /// everywhere.
     pub gate_px: f32,
     /// Robust estimation; the threshold is in full-frame pixels.
     pub ransac: RansacParams,
     /// Inliers below which a homography is rejected; at least 4 (thesis 2.4.3).
     pub min_inliers: usize,
-    /// What a warped frame may look like.
+    /// Plausibility limits of a warped frame.
     pub plausibility: Plausibility,
-    /// The homography stays while its median error on the new inliers is below this (chapter 4, Algorithm 2),
-    /// in pixels; 0: refit every frame.
+    /// The homography is kept while its median error on the new inliers is below this (chapter 4, Algorithm 2), in
+    /// pixels; 0: refit every frame.
     pub stability_px: f64,
-    /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers, 0..=4: what the overlap leaves open, the far corners
-    /// above all, then moves slowly instead of jumping with every change of inliers. 0: the inliers alone.
+    /// Weight of the previous frame (of a plain shift in the first frame) relative to all inliers, 0..=4: parameters
+    /// that the overlap does not determine, above all the far corners, then move slowly instead of jumping with every
+    /// change of inliers. 0 uses the inliers alone.
     pub anchor_fit: f64,
-    /// A homography whose inliers are further off than this (rms, px) is rejected; 0 accepts all.
+    /// Maximum rms error of the inliers, px, above which a homography is rejected; 0 accepts all.
     pub max_rms_px: f64,
-    /// Failed frames in a row for which the homography before still counts as held rather than lost.
+    /// Failed frames in a row for which the previous homography counts as held rather than lost.
     pub hold_frames: usize,
     /// Widens both search regions, in pixels.
     pub roi_margin_px: usize,
-    /// Finds overlaps narrower than a quarter of a view too: when whole views give nothing, a pair of facing sides is searched in the same
-    /// frame, at full size; from then on the overlap alone, and an affine map near a shift stands for the homography. Only with `roi`.
+    /// Whether overlaps narrower than a quarter of a view are searched too: when whole views fail, a pair of facing
+    /// sides is searched in the same frame, at full size; after that only the overlap, and an affine map near a shift
+    /// replaces the homography. Only with `roi`.
     pub strips: bool,
 }
 
@@ -98,7 +101,7 @@ pub struct Registration {
     pub roi_right: Rect,
     /// Whether the homography is the previous frame's, kept by the stability test.
     pub kept: bool,
-    /// Whether it comes from a narrow overlap.
+    /// Whether it was estimated on a narrow overlap.
     pub is_narrow: bool,
 }
 
@@ -127,7 +130,7 @@ struct Side {
     features: Features,
 }
 
-/// What a good frame leaves behind.
+/// State kept from a good frame.
 #[derive(Clone, Copy, Debug)]
 struct Memory {
     left_from_right: Homography,
@@ -135,7 +138,7 @@ struct Memory {
 }
 
 impl RegisterSurf {
-    /// A registration without a past.
+    /// A registration without history.
     pub fn new(params: RegisterParams) -> Self {
         let side = || Side { surf: Surf::new(params.surf), features: Features::default() };
         Self {
@@ -160,7 +163,7 @@ impl RegisterSurf {
         &self.params
     }
 
-    /// Changes the parameters and keeps what is known of the frame before.
+    /// Changes the parameters and keeps the state of the previous frame.
     pub fn set_params(&mut self, params: RegisterParams) {
         self.params = params;
         for side in &mut self.sides {
@@ -168,7 +171,7 @@ impl RegisterSurf {
         }
     }
 
-    /// Forgets the frame before.
+    /// Clears the state of the previous frame.
     pub fn reset(&mut self) {
         self.memory = None;
         self.failures = 0;
@@ -245,7 +248,7 @@ impl RegisterSurf {
         result
     }
 
-    /// The search of the overlap under `map`; `None` where it is too small for one.
+    /// The search of the overlap under `map`; `None` if it is too small.
     fn overlap_search(&self, map: &Homography, gate: Option<Gate>, sizes: Sizes) -> Option<Search> {
         if let Some(search) = narrow(map, sizes).filter(|_| self.params.strips) {
             return Some(search);
@@ -260,8 +263,8 @@ impl RegisterSurf {
         Some(Search { regions, shrink, gate, is_narrow: false })
     }
 
-    /// What a search of whole views found, unless it found nothing or a narrow overlap, about which it says little: then what a search at full size of
-    /// that overlap finds, or of a pair of strips.
+    /// Returns the result of a search of whole views, unless it failed or found a narrow overlap, for which it is
+    /// unreliable: then searches that overlap, or a pair of strips, at full size.
     fn search_narrow(
         &mut self,
         whole: Option<Estimate>,
@@ -362,7 +365,8 @@ impl RegisterSurf {
     }
 }
 
-/// Finds the features of both views, one view per thread: two long chunks meet once, many short ones at the end of every loop.
+/// Finds the features of both views, one view per thread: two long chunks synchronise once, many short ones at the end
+/// of every loop.
 fn detect(sides: &mut [Side; 2], views: [View<'_, u8>; 2], search: [Rect; 2], shrink: usize, pool: &dyn Parallel) {
     // More threads than views help inside the loops; results do not depend on who runs them.
     let inner: &dyn Parallel = if pool.threads() > sides.len() { pool } else { &Serial };

@@ -5,7 +5,7 @@ use super::pyramid::Level;
 use super::upright;
 use crate::Simd;
 
-/// Reads `rows` rows of `vectors` x 8 samples; sample (i, j) lies `(i - half, j - half)` steps off the centre.
+/// Reads `rows` rows of `vectors` x 8 samples; sample (i, j) is `(i - half, j - half)` steps from the centre.
 pub(crate) fn sample(
     simd: Simd,
     level: &Level,

@@ -1,37 +1,39 @@
-//! Where to look for an overlap that a search of whole views does not find: strips along the sides that may face each other.
+//! Search regions for an overlap that a search of whole views does not find: strips along facing sides.
 //!
-//! Two views near the tissue share a strip some tens of pixels wide. In whole views, shrunk, its few keypoints are lost among
-//! those of the rest; at full size and alone, they are found.
+//! Two views near the tissue share a strip some tens of pixels wide. In whole views, shrunk, its few keypoints are
+//! outnumbered by the others; alone and at full size they are found.
 
 use super::matching::Gate;
 use super::surf::SurfParams;
 use crate::Rect;
 use crate::geometry::{Homography, overlap_rois};
 
-/// Overlaps shorter than this share of a view's side are narrow: searched at full size and registered by a model of fewer parameters.
+/// Overlaps shorter than this share of a view's side are narrow: searched at full size and registered by a model of
+/// fewer parameters.
 const NARROW_SHARE: f64 = 0.34;
 /// Width of the strips in shares of a view's side: the narrower, the fewer keypoints without a partner.
 const STRIP_SHARE: f64 = 0.25;
-/// Narrower overlaps than this hold no keypoints, px.
+/// Minimum width of an overlap with keypoints, px.
 const MIN_NARROW_PX: usize = 16;
 /// Widens the search regions of a narrow overlap, px: most of it is lost when the views move by little.
 const NARROW_MARGIN_PX: usize = 24;
-/// Partners in facing strips lie at most this far across the direction in which the views stand, in shares of the strip's length: cameras
-/// that stand side by side look about the same way.
+/// Maximum offset of partners in facing strips across the direction between the views, as a share of the strip's
+/// length, because neighbouring cameras look in about the same direction.
 const ACROSS_SHARE: f64 = 0.05;
-/// Partners in an overlap that was seen before lie at most this far from the predicted place, px.
+/// Maximum distance of partners in a known overlap from the predicted position, px.
 const AROUND_PX: f32 = 24.0;
-/// Distances along the displacement count by this: it depends on the depth.
+/// Weight of distances along the displacement, which depends on the depth.
 const ALONG_WEIGHT: f64 = 0.25;
 
-/// Windows of descriptors in a narrow overlap: there each point is seen from two sides under tens of degrees, which stretches large windows.
+/// Windows of descriptors in a narrow overlap: there the viewing directions differ by tens of degrees, which distorts
+/// large windows.
 const NARROW_WINDOW: f32 = 0.5;
-/// Share of the least determinant that is enough there: few pixels are left to choose from.
+/// Factor on the determinant threshold there, because few pixels are available.
 const NARROW_HESSIAN: f32 = 0.2;
-/// Times as many keypoints there.
+/// Factor on the number of keypoints there.
 const NARROW_POINTS: usize = 2;
 
-/// How to detect and describe in a narrow overlap.
+/// Detection parameters for a narrow overlap.
 pub(super) fn narrow_surf(surf: SurfParams) -> SurfParams {
     SurfParams {
         window: NARROW_WINDOW * surf.window,
@@ -47,22 +49,22 @@ pub(super) type Sizes = [(usize, usize); 2];
 /// One search for the overlap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Search {
-    /// Where keypoints are sought in the left and in the right view.
+    /// Regions in which keypoints are searched in the left and in the right view.
     pub(super) regions: [Rect; 2],
     /// Shrink factor of the regions.
     pub(super) shrink: usize,
-    /// Where partners may lie.
+    /// Region in which partners may be.
     pub(super) gate: Option<Gate>,
     /// Whether the overlap is narrow: an affine map near a shift is estimated.
     pub(super) is_narrow: bool,
 }
 
-/// Where the second view may lie, as seen from the first: -1, 0 or 1 views to the right and below. Every other attempt is for a pair
-/// side by side, but a square of four cameras comes first.
+/// Possible positions of the second view relative to the first: -1, 0 or 1 views to the right and below. Every other
+/// attempt is for a pair side by side, but a square of four cameras comes first.
 const SIDES: [(i8, i8); 12] =
     [(1, 0), (0, 1), (1, 1), (1, 0), (-1, 0), (1, 0), (0, -1), (1, 0), (-1, -1), (1, 0), (1, -1), (-1, 1)];
 
-/// The strips that face each other when the second view lies at `side`, or at a corner the strips above and below.
+/// The strips that face each other when the second view is at `side`, or at a corner the strips above and below.
 fn strips((x, y): (i8, i8), [left, right]: Sizes) -> Search {
     let part = |length: usize| ((length as f64 * STRIP_SHARE) as usize).max(1).min(length);
     let at_end = |(width, height): (usize, usize), is_end: bool| {
@@ -85,7 +87,7 @@ fn strips((x, y): (i8, i8), [left, right]: Sizes) -> Search {
     }
 }
 
-/// Chooses one pair of strips for each frame that whole views fail.
+/// Chooses one pair of strips for each frame in which whole views fail.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Strips {
     next: usize,
@@ -93,9 +95,9 @@ pub(super) struct Strips {
 }
 
 impl Strips {
-    /// The search to make now: of the narrow overlap seen last, if there is one, then of one pair of sides after the other.
+    /// The next search: the last narrow overlap, if there is one, then one pair of sides after the other.
     ///
-    /// `None` for views too small to have strips.
+    /// `None` for views that are too small for strips.
     pub(super) fn choose(&mut self, last: Option<&Homography>, sizes: Sizes) -> Option<Search> {
         let seen = last.and_then(|map| narrow(map, sizes)).filter(|_| !self.is_last_tried);
         self.is_last_tried = seen.is_some();
@@ -107,7 +109,7 @@ impl Strips {
         search.regions.iter().all(|r| r.width >= MIN_NARROW_PX && r.height >= MIN_NARROW_PX).then_some(search)
     }
 
-    /// Begins with the first pair of sides again.
+    /// Restarts with the first pair of sides.
     pub(super) fn reset(&mut self) {
         *self = Self::default();
     }

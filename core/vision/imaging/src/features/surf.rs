@@ -17,7 +17,7 @@ use crate::{Parallel, SharedMut, Simd, View};
 const POINTS_PER_CHUNK: usize = 16;
 /// SURF scale `s` of a filter of one pixel: sigma 1.2 belongs to the 9 x 9 filter.
 const SCALE_PER_SIZE: f32 = 1.2 / 9.0;
-/// Fewer pixels than any picture has for each maximum.
+/// Lower bound of pixels per maximum.
 const PIXELS_PER_MAXIMUM: usize = 32;
 /// Rows of a band within which the order of description is free, in pixels.
 const ORDER_ROWS: usize = 16;
@@ -26,10 +26,10 @@ const DOUBLES_CELL_PX: usize = 8;
 /// Doubles differ less than this in size.
 const DOUBLES_SIZE_RATIO: f32 = 1.3;
 
-/// How to detect and describe.
+/// Parameters of detection and description.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfParams {
-    /// Least determinant of a keypoint, in squared gray levels (the scale of OpenCV's `hessianThreshold`).
+    /// Minimum determinant of a keypoint, in squared gray levels (the scale of OpenCV's `hessianThreshold`).
     pub hessian_threshold: f32,
     /// Octaves, 1..=4.
     pub octaves: usize,
@@ -37,23 +37,23 @@ pub struct SurfParams {
     pub layers: usize,
     /// Skips the orientation: angle 0, for views that are hardly rotated.
     pub upright: bool,
-    /// Looks again at each candidate with Gaussian derivatives, which place and rank it the same way however the
-    /// image is turned; costs about a microsecond each.
+    /// Refines each candidate with Gaussian derivatives, whose position and rank do not depend on the image's rotation;
+    /// about one microsecond per candidate.
     pub second_look: bool,
-    /// Keypoints are ranked by response / size^bias: fine detail is placed more exactly in pixels.
+    /// Keypoints are ranked by response / size^bias: fine detail has a more exact position in pixels.
     pub fine_bias: f32,
-    /// Keypoints at most, strongest first; 0 means all.
+    /// Maximum number of keypoints, strongest first; 0 for no limit.
     pub max_points: usize,
-    /// Looks at the image doubled in size when nothing is shrunk (as Lowe 2004, section 3.3, does), so that the first
-    /// octave holds finer keypoints; costs about four times as much.
+    /// Doubles the image in size when nothing is shrunk (as Lowe 2004, section 3.3, does), so that the first octave
+    /// holds finer keypoints; costs about four times as much.
     pub upsample: bool,
     /// Size of orientation and descriptor windows over the usual one: larger ones distinguish fine keypoints better.
     pub window: f32,
-    /// Descriptors of 128 elements ([`Features::extension`]): more right matches for about twice the time of description
-    /// and matching.
+    /// Descriptors of 128 elements ([`Features::extension`]): more right matches for about twice the time of
+    /// description and matching.
     pub extended: bool,
-    /// Columns and rows of a grid whose cells share `max_points` evenly before the rest is filled
-    /// with the strongest; 0 means the strongest wherever they are.
+    /// Columns and rows of a grid whose cells share `max_points` evenly before the rest is filled with the strongest; 0
+    /// takes the strongest regardless of position.
     pub spread: (usize, usize),
 }
 
@@ -75,7 +75,8 @@ impl Default for SurfParams {
     }
 }
 
-/// `gray` at twice its size, bilinear: pixel `2i` lies a quarter before the centre of pixel `i`, `2i + 1` a quarter behind it.
+/// `gray` at twice its size, bilinear: pixel `2i` lies a quarter before the centre of pixel `i`, `2i + 1` a quarter
+/// behind it.
 fn double(gray: View<'_, u8>, out: &mut Vec<u8>) {
     let (width, height) = (gray.width, gray.height);
     out.clear();
@@ -110,7 +111,7 @@ pub struct Keypoints {
 }
 
 impl Keypoints {
-    /// How many there are.
+    /// Their number.
     pub fn len(&self) -> usize {
         self.x_px.len()
     }
@@ -138,7 +139,7 @@ impl Keypoints {
 /// Keypoints with their descriptors.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Features {
-    /// Where and how large.
+    /// Positions and sizes.
     pub keypoints: Keypoints,
     /// One descriptor for each keypoint.
     pub descriptors: Vec<Descriptor>,
@@ -148,7 +149,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// How many keypoints there are.
+    /// Number of keypoints.
     pub fn len(&self) -> usize {
         self.keypoints.len()
     }
@@ -158,7 +159,7 @@ impl Features {
         self.keypoints.is_empty()
     }
 
-    /// Descriptors of 64 elements per keypoint: 2 when extended.
+    /// Descriptors of 64 elements per keypoint: 2 if extended.
     pub(crate) fn parts(&self) -> usize {
         if self.extension.is_empty() { 1 } else { 2 }
     }
@@ -357,7 +358,7 @@ impl Surf {
         });
     }
 
-    /// Orders the keypoints by rows of the picture, so that one after the other reads what is still in a near cache.
+    /// Orders the keypoints by rows of the image, so that consecutive ones read cached data.
     fn sort_by_row(&mut self, height: usize) {
         let bands = height / ORDER_ROWS + 1;
         let band_of = |point: &Extremum| (point.y.max(0.0) as usize / ORDER_ROWS).min(bands - 1);
@@ -388,7 +389,7 @@ impl Surf {
         }
     }
 
-    /// Replaces place and strength of every candidate; those without a blob are dropped.
+    /// Replaces position and strength of every candidate; those without a blob are dropped.
     fn refine_candidates(&mut self, pool: &dyn Parallel) {
         let (simd, kernels, pyramid) = (self.simd, &self.kernels, &self.pyramid);
         let count = self.found.len();
@@ -486,7 +487,7 @@ impl Surf {
     }
 }
 
-/// Best first; every tie is broken by place, so the order never depends on how candidates came.
+/// Best first; ties are broken by position, so the order never depends on the order of the candidates.
 fn by_rank(a: &Extremum, b: &Extremum) -> std::cmp::Ordering {
     b.rank.total_cmp(&a.rank).then(a.y.total_cmp(&b.y)).then(a.x.total_cmp(&b.x)).then(a.size.total_cmp(&b.size))
 }

@@ -19,7 +19,7 @@ pub(crate) fn noise(x: f64, y: f64) -> f64 {
     sum.clamp(0.0, 255.0)
 }
 
-/// What a camera sees whose pixels `scene_from_image` maps into the scene.
+/// The image of a camera whose pixels `scene_from_image` maps into the scene.
 pub(crate) fn render(width: usize, height: usize, scene_from_image: &Homography) -> Vec<u8> {
     let mut image = Vec::with_capacity(width * height);
     for y in 0..height {

@@ -340,7 +340,8 @@ fn descriptors_of_different_lengths_do_not_match() {
     }
 }
 
-/// Each descriptor of the scene beside that of the same place seen through `map`: distances of equal and of other positions.
+/// Each descriptor of the scene compared with that of the same position seen through `map`: distances of equal and of
+/// other positions.
 fn extended_distances(map: &Homography, scale: f32, upright: bool) -> Vec<(f32, f32)> {
     let (width, height) = (400, 320);
     let params = SurfParams { max_points: 150, extended: true, upright, ..SurfParams::default() };

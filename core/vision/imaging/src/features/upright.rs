@@ -1,7 +1,7 @@
 //! Samples of a patch that is not turned: its columns lie at the same positions in every row.
 //!
-//! Sixteen pixels of two image rows are first blended into one line; eight samples are then picked from it by permuting vectors. That
-//! needs no gather, which costs as much as a load for each element.
+//! Sixteen pixels of two image rows are first blended into one line; eight samples are then picked from it by permuting
+//! vectors. That needs no gather, which costs as much as a load for each element.
 
 use super::patch::{Grid, ROW, Start};
 use super::pyramid::Level;

@@ -1,60 +1,61 @@
 //! Finds the lit part of a view from its frames.
 //!
-//! A rim is dark in all frames, touches the border of the view, and ends in a sharp, smooth, convex line. Dark tissue is none of
-//! these for long. From each border the finder walks inwards along rows and columns to the first run of pixels that are brighter than the
-//! rim, and keeps the nearest such run of all frames. The lit part is the convex hull of these ends. A side whose ends are
-//! mostly without a step, or far from the hull, is no rim, and is lit up to the border. So what is lit once stays lit, and
-//! darkness is never taken for a rim unless it has its shape. A frame without light says nothing.
+//! A rim is dark in all frames, touches the border of the view, and ends in a sharp, smooth, convex line. Dark tissue
+//! has none of these properties for long. From each border the finder walks inwards along rows and columns to the first
+//! run of pixels that are brighter than the rim, and keeps the nearest such run of all frames. The lit part is the
+//! convex hull of these ends. A side whose ends are mostly without a step, or far from the hull, has no rim and is lit
+//! up to the border. So a part that was lit once stays lit, and darkness counts as a rim only if it has the shape of
+//! one. A frame without light is ignored.
 
 use super::LitPart;
 use crate::View;
 
-/// Levels above the rim's from which on a pixel is lit.
+/// Minimum levels above the rim's of a lit pixel.
 const LIT_LEVELS: u32 = 12;
-/// Levels by which the pixels inside a rim exceed those outside: darkness without an edge grows slower.
+/// Minimum step in levels at the edge of a rim; other darkness changes more slowly.
 const STEP_LEVELS: u32 = 16;
-/// Rims are not brighter than this.
+/// Maximum level of a rim.
 const BRIGHTEST_RIM: u32 = 40;
-/// Pixels in a row that must be lit, at a width of 640 px. Lines along a border that video devices make are narrower.
+/// Pixels in a row that must be lit, at a width of 640 px. Artefact lines along a border are narrower.
 const RUN_PX: usize = 6;
 /// Pixels on each side of an edge whose means are compared, at a width of 640 px.
 const REACH_PX: usize = 6;
-/// Ends within this distance of the hull agree with it, at a width of 640 px.
+/// Maximum distance from the hull of ends that agree with it, at a width of 640 px.
 const NEAR_PX: usize = 3;
-/// The lit part ends this far inside of the ends, at a width of 640 px: there light rises, and video that stores colour coarsely is tinted.
+/// Margin of the lit part inside the ends, at a width of 640 px: light rises there, and chroma subsampling tints it.
 const MARGIN_PX: usize = 5;
 /// Share of the ends of a side that must have a step, and lie near the hull, in percent.
 const SIDE_PERCENT: usize = 50;
-/// Lines of which one is looked at in each frame.
+/// One of this many lines is read in each frame.
 const LINE_STEP: usize = 4;
-/// Frames in which all lines are looked at.
+/// Number of first frames in which all lines are read.
 const FIRST_FRAMES: u32 = 2;
-/// Frames after which darkness counts anew: a coupler may have been turned or zoomed.
+/// Frames after which old ends are dropped, because a coupler may have been turned or zoomed.
 const WINDOW_FRAMES: u32 = 1800;
 /// Frames from one computation to the next.
 const COMPUTE_FRAMES: u32 = 8;
 /// Share of the lines that must have light in a frame that counts, in percent.
 const LIGHT_PERCENT: usize = 25;
-/// Least share of a view that is lit; below it nothing is known.
+/// Minimum lit share of a view; below it the result is unknown.
 const MIN_SHARE: f64 = 0.1;
-/// Distance from the border at which the rim's level is measured: outside of lines that video devices make.
+/// Distance from the border at which the rim's level is measured: beyond artefact lines of video devices.
 const LEVEL_INSET_PX: usize = 4;
 /// No light was seen along a line.
 const DARK: u32 = u32::MAX;
 
-/// Where a line from the border becomes lit.
+/// First lit position on a line from the border.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct End {
     /// Pixels from the border, or [`DARK`].
     at: u32,
-    /// There is a step.
+    /// Whether there is a step.
     is_sharp: bool,
 }
 
 const UNKNOWN: End = End { at: DARK, is_sharp: false };
 
 impl End {
-    /// Takes what is nearer to the border. Whether anything changed.
+    /// Keeps the end that is nearer to the border. Returns whether anything changed.
     fn merge(&mut self, new: End, near: u32) -> bool {
         if new.at == DARK || (self.at != DARK && new.at > self.at.saturating_add(near)) {
             return false;
@@ -82,9 +83,9 @@ pub struct LitFinder {
     /// This frame's.
     seen: Sides,
     ring: Vec<u8>,
-    /// This frame's ends all lie at the border, and the window has them.
+    /// Whether all ends of this frame are at the border and are in the window.
     is_open: bool,
-    /// Ends have changed since the part was computed.
+    /// Whether ends have changed since the part was computed.
     is_due: bool,
     part: LitPart,
     raw: LitPart,
@@ -124,7 +125,8 @@ impl LitFinder {
         (px * self.size.0 / 640).max(px.div_ceil(2))
     }
 
-    /// Looks at a frame, gray or BGR. Outside `valid` the view is black by construction. Whether the lit part has changed.
+    /// Adds a frame, gray or BGR. Outside `valid` the view is black by construction. Returns whether the lit part has
+    /// changed.
     pub fn look(&mut self, view: View<'_, u8>, valid: Option<&LitPart>) -> bool {
         let size = (view.width, view.height);
         let mut is_new = false;
@@ -207,7 +209,8 @@ impl LitFinder {
         u32::from(*self.ring.select_nth_unstable(tenth).1)
     }
 
-    /// Walks every [`LINE_STEP`]th row and column from both ends. Gives how many lines have light, and how many there are.
+    /// Walks every [`LINE_STEP`]th row and column from both ends. Returns the number of lines with light, and the
+    /// number of lines.
     fn walk_lines(&mut self, view: &View<'_, u8>, first: usize, lit: u32) -> [usize; 2] {
         let (width, height) = self.size;
         let (run, reach) = (self.scaled(RUN_PX), self.scaled(REACH_PX));
@@ -231,7 +234,7 @@ impl LitFinder {
         count
     }
 
-    /// Adds this frame's ends to the present window. Whether any changed.
+    /// Adds this frame's ends to the present window. Returns whether any changed.
     fn merge(&mut self) -> bool {
         let near = self.scaled(NEAR_PX) as u32;
         let mut changed = false;
@@ -251,7 +254,7 @@ impl LitFinder {
         end
     }
 
-    /// Computes the lit part from the ends. Whether it has changed.
+    /// Computes the lit part from the ends. Returns whether it has changed.
     fn compute(&mut self, valid: Option<&LitPart>) -> bool {
         let (width, height) = self.size;
         self.is_due = false;

@@ -1,8 +1,8 @@
-//! The lit part of a view: what the scope's optics show, without the dark rim around it.
+//! The lit part of a view: the area that the scope's optics show, without the dark rim around it.
 //!
-//! Round and bordered scopes, letterboxed recordings and rectified views have rims. A rim stays where it is in both views, so that
-//! matching takes it for a surface, and a panorama shows it as a black wedge. [`LitFinder`] finds the part from the frames;
-//! everything behind it takes a [`LitPart`].
+//! Round and bordered scopes, letterboxed recordings and rectified views have rims. A rim has the same position in both
+//! views, so that matching mistakes it for a surface, and a panorama shows it as a black wedge. [`LitFinder`] finds the
+//! part from the frames; later stages use a [`LitPart`].
 
 mod finder;
 
@@ -44,13 +44,13 @@ impl LitPart {
         self.row(y).contains(&x)
     }
 
-    /// Sets the lit columns of a row; columns beyond the view are cut off.
+    /// Sets the lit columns of a row; columns beyond the view are clipped.
     pub(crate) fn set_row(&mut self, y: usize, columns: std::ops::Range<usize>) {
         let (start, end) = (columns.start.min(self.width), columns.end.min(self.width));
         self.rows[y] = if start < end { [start as u32, end as u32] } else { [0, 0] };
     }
 
-    /// Takes a mask over: the longest run of pixels above 0 in each row.
+    /// Sets the part from a mask: the longest run of pixels above 0 in each row.
     pub fn read_mask(&mut self, mask: View<'_, u8>) {
         self.width = mask.width;
         self.rows.clear();
@@ -77,7 +77,7 @@ impl LitPart {
         }
     }
 
-    /// Keeps what is lit in both, which have one size.
+    /// Keeps the pixels that are lit in both, which have one size.
     pub fn intersect(&mut self, other: &Self) {
         for y in 0..self.rows.len() {
             let (a, b) = (self.row(y), other.row(y));
@@ -85,7 +85,7 @@ impl LitPart {
         }
     }
 
-    /// Leaves out what lies within `px` of the rim, to all sides. The border of the view is not a rim.
+    /// Removes pixels within `px` of the rim in all directions. The border of the view is not a rim.
     pub fn inset(&self, px: usize, out: &mut Self) {
         out.width = self.width;
         out.rows.clear();
@@ -140,7 +140,7 @@ impl LitPart {
     }
 }
 
-/// The lit part of a view as a mask says it, read only when the mask changes.
+/// The lit part of a view according to a mask, read only when the mask changes.
 #[derive(Debug, Default)]
 pub struct HeldMask {
     mask: Vec<u8>,
@@ -149,7 +149,7 @@ pub struct HeldMask {
 }
 
 impl HeldMask {
-    /// Follows the mask of this frame; without one everything is lit. Whether the part has changed.
+    /// Follows the mask of this frame; without one everything is lit. Returns whether the part has changed.
     pub fn update(&mut self, mask: Option<View<'_, u8>>) -> bool {
         let Some(mask) = mask else { return std::mem::replace(&mut self.is_set, false) };
         let size = (mask.width, mask.height);
@@ -166,7 +166,7 @@ impl HeldMask {
         true
     }
 
-    /// The lit part; `None` when everything is.
+    /// The lit part; `None` if everything is lit.
     pub fn part(&self) -> Option<&LitPart> {
         self.is_set.then_some(&self.part)
     }

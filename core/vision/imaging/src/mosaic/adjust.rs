@@ -1,7 +1,7 @@
 //! Poses of all keyframes at once: least squares over the pairs of points that they share.
 //!
-//! Errors are measured in the pixels of the keyframes, never in those of the mosaic: shrinking the mosaic would make the
-//! latter small without making them right, and the scale would drift. The oldest keyframe stays where it is.
+//! Errors are measured in the pixels of the keyframes, never in those of the mosaic: shrinking the mosaic would reduce
+//! the latter without correcting them, and the scale would drift. The oldest keyframe is fixed.
 
 use super::graph::{Edge, Graph};
 use super::keyframe::{Keyframe, index_of};
@@ -12,11 +12,11 @@ use crate::geometry::Homography;
 
 /// Largest number of parameters of a keyframe.
 const MAX_DEGREES: usize = 8;
-/// Distances above this pull less and less (Cauchy loss), in pixels: a wrong edge must not bend the mosaic, but one that closes a long loop has
-/// to pull until its error is spread.
+/// Scale of the Cauchy loss, in pixels: a wrong edge must not bend the mosaic, but one that closes a long loop must act
+/// until its error is spread.
 const LOSS_PX: f64 = 10.0;
-/// Weight of the perspective of each keyframe against the pairs of its edges: curved tissue looks like ever more perspective from
-/// keyframe to keyframe, which overlaps hardly contradict and which would bend the mosaic.
+/// Weight of the perspective of each keyframe relative to the pairs of its edges: curved tissue resembles a growing
+/// perspective from keyframe to keyframe, which overlaps hardly contradict and which would bend the mosaic.
 const PERSPECTIVE: f64 = 0.3;
 /// Largest number of steps.
 const ITERATIONS: usize = 20;
@@ -82,7 +82,7 @@ impl Unit {
     }
 }
 
-/// How far the perspective of a pose moves the middle of a frame's sides, in pixels.
+/// Displacement of the middle of a frame's sides by the perspective of a pose, in pixels.
 fn perspective_px(pose: &Homography, unit: Unit) -> [f64; 2] {
     let h = pose.0;
     [h[6] / h[8] * unit.scale, h[7] / h[8] * unit.scale]
@@ -94,7 +94,7 @@ fn cauchy(squared_px: f64) -> f64 {
 }
 
 impl Adjust {
-    /// Reserves memory for so many keyframes on a chain; denser graphs grow it once more.
+    /// Reserves memory for this many keyframes on a chain; denser graphs grow it once more.
     pub fn reserve(&mut self, keyframes: usize) {
         self.gradient.reserve(keyframes * MAX_DEGREES);
         self.step.reserve(keyframes * MAX_DEGREES);
@@ -103,8 +103,8 @@ impl Adjust {
         self.trial.reserve(keyframes);
     }
 
-    /// Moves the keyframes to where their edges are shortest. Gives the root mean square length of all edges' pairs
-    /// afterwards, in pixels; `None` without edges. Keyframes that would fold stay where they were, all of them.
+    /// Moves the keyframes so that their edges are shortest. Returns the root mean square length of all edges' pairs
+    /// afterwards, in pixels; `None` without edges. If a keyframe would fold, none is moved.
     pub fn adjust(
         &mut self,
         keyframes: &mut [Keyframe],
@@ -204,7 +204,7 @@ impl Adjust {
         self.settle(keyframes, graph, unit, size)
     }
 
-    /// Hands the poses back, unless a frame would be folded by them.
+    /// Applies the poses unless they would fold a frame.
     fn settle(&self, keyframes: &mut [Keyframe], graph: &Graph, unit: Unit, size: (usize, usize)) -> Option<f64> {
         let back = |pose: &Homography| unit.inverse().compose(pose).compose(&unit.matrix());
         if self.poses.iter().all(|pose| Outline::of(&back(pose), size).is_some()) {
@@ -227,7 +227,8 @@ impl Adjust {
     }
 }
 
-/// Adds an edge's pairs to the normal equations. Positions change by a small map before them: `pose (I + change)`.
+/// Adds an edge's pairs to the normal equations. The parameters are small maps applied before the poses: `pose (I +
+/// change)`.
 fn linearise(
     edge: &Edge,
     (a, b): (usize, usize),

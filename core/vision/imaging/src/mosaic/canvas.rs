@@ -1,8 +1,8 @@
-//! The picture of the mosaic: keyframes summed with weights that are largest at their centres.
+//! The image of the mosaic: keyframes summed with weights that are largest at their centres.
 //!
-//! A pixel shows mostly the keyframe that sees it nearest to its middle, where light and lens are best; the steep weights
-//! turn into a short transition where two keyframes are equally near. Sums do not depend on the order of drawing but for
-//! rounding, so a keyframe can be added, and a rectangle redrawn, independently of the rest.
+//! A pixel shows mostly the keyframe in which it is nearest to the middle, where light and lens are best; the steep
+//! weights give a short transition between equally near keyframes. Sums do not depend on the order of drawing except
+//! for rounding, so a keyframe can be added, and a rectangle redrawn, independently of the rest.
 
 use super::picture::Picture;
 use crate::Rect;
@@ -10,20 +10,20 @@ use crate::geometry::{Homography, Point};
 use crate::stitch::warp::{self, Block, Pixels, Span, UNIT_GAIN};
 use crate::{Parallel, SharedMut, Simd, ViewMut};
 
-/// Pixels that are weighed together.
+/// Pixels that are weighted together.
 const RUN: usize = 64;
 /// Rows per chunk.
 const ROWS: usize = 16;
 /// Sums per pixel: blue, green, red, weight.
 const LANES: usize = 4;
-/// Least weight of a pixel inside a frame.
+/// Minimum weight of a pixel inside a frame.
 const MIN_WEIGHT: f32 = 1e-6;
 /// Width of the transition around the newest frame, as a share of the frame's half side.
 const LIVE_EDGE: f32 = 0.12;
-/// Samples along each side of a frame by which its exposure is compared, and how many have to be useful.
+/// Samples along each side of a frame for comparing exposures.
 const GAIN_SAMPLES: usize = 32;
 const MIN_SAMPLES: usize = 24;
-/// Weights of a frame and of what is shown are this near to each other, as a ratio, where exposures are compared.
+/// Maximum ratio of the weights of a frame and of the mosaic where exposures are compared.
 const GAIN_BAND: f32 = 4.0;
 /// Range of gray levels that are used to measure exposure.
 const GAIN_LEVELS: (f64, f64) = (12.0, 245.0);
@@ -32,7 +32,7 @@ const MAX_GAIN: f64 = 1.6;
 /// Share of a measured exposure difference that is compensated; less than 1, so that gains do not drift along a chain.
 const GAIN_SHARE: f64 = 0.9;
 
-/// The picture and its sums.
+/// The image and its sums.
 #[derive(Clone, Debug)]
 pub(super) struct Canvas {
     pub width: usize,
@@ -54,7 +54,7 @@ pub(super) struct Source<'a> {
     pub gain: [f32; 3],
 }
 
-/// A frame at the size that suits the picture, with its map.
+/// A frame at the size that suits the output, with its map.
 struct Ready<'a> {
     view: crate::View<'a, u8>,
     source_from_picture: [f64; 9],
@@ -98,7 +98,7 @@ impl Canvas {
         Rect::new(0, 0, self.width, self.height)
     }
 
-    /// The part of the picture within bounds of the mosaic: left, top, right, bottom.
+    /// The part of the image within bounds of the mosaic: left, top, right, bottom.
     pub fn rect_of(&self, bounds: [f64; 4]) -> Rect {
         let [a, b] = [
             self.picture_from_mosaic.map([bounds[0], bounds[1]]),
@@ -111,7 +111,7 @@ impl Canvas {
         Rect::new(x, y, right.saturating_sub(x), bottom.saturating_sub(y))
     }
 
-    /// Empties a part.
+    /// Clears a part.
     pub fn clear(&mut self, part: Rect) {
         for y in part.y..part.y + part.height {
             let at = y * self.width + part.x;
@@ -131,7 +131,7 @@ impl Canvas {
         Some(Ready { view, source_from_picture: map.0.map(|v| v * sign), gain: fixed(source.gain) })
     }
 
-    /// Adds a frame to the sums, within a part of the picture.
+    /// Adds a frame to the sums, within a part of the image.
     pub fn add(&mut self, source: &Source<'_>, part: Rect, pool: &dyn Parallel) {
         let Some(ready) = self.ready(source) else { return };
         let size = (ready.view.width, ready.view.height);
@@ -167,7 +167,7 @@ impl Canvas {
         });
     }
 
-    /// Brings the picture of a part in line with its sums.
+    /// Computes the image of a part from its sums.
     pub fn finish(&mut self, part: Rect, pool: &dyn Parallel) {
         let (width, sums) = (self.width, &self.sums);
         let bgr = SharedMut::new(&mut self.bgr);
@@ -188,7 +188,7 @@ impl Canvas {
         });
     }
 
-    /// Gains that bring a frame's colours to those of the picture where both are; 1 where nothing is shared.
+    /// Gains that match a frame's colours to the mosaic's where they overlap; 1 without overlap.
     pub fn gain_of(&self, source: &Source<'_>) -> [f32; 3] {
         let plain = Source { gain: [1.0; 3], ..*source };
         let Some(ready) = self.ready(&plain) else { return [1.0; 3] };
@@ -227,14 +227,14 @@ impl Canvas {
         std::array::from_fn(|c| (shown[c] / own[c]).powf(GAIN_SHARE).clamp(1.0 / MAX_GAIN, MAX_GAIN) as f32)
     }
 
-    /// Copies the picture.
+    /// Copies the image.
     pub fn copy(&self, out: &mut ViewMut<'_, u8>) {
         for (y, row) in self.bgr.chunks_exact(self.width * 3).enumerate() {
             out.row_mut(y).copy_from_slice(row);
         }
     }
 
-    /// Draws a frame over a copy of the picture, fading towards its border where the mosaic has pixels.
+    /// Draws a frame over a copy of the image, fading towards its border over existing pixels.
     pub fn draw_over(&mut self, source: &Source<'_>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) {
         let Some(ready) = self.ready(source) else { return };
         let size = (ready.view.width, ready.view.height);
@@ -275,7 +275,7 @@ impl Ready<'_> {
         warp::sample(v, block, count, &self.gain, pixels, avx2);
     }
 
-    /// Position in the frame along a row, and what brings it to 0..2.
+    /// Position in the frame along a row, and the factor that scales it to 0..2.
     fn along(&self, x: usize, y: usize) -> ([f32; 6], [f32; 2]) {
         let m = &self.source_from_picture;
         let at = |r: usize| (m[r] * x as f64 + m[r + 1] * y as f64 + m[r + 2]) as f32;

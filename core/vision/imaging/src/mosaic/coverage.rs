@@ -6,7 +6,7 @@ use super::outline::distance;
 /// Samples of a keyframe along its width and height.
 const SAMPLES: (usize, usize) = (32, 24);
 
-/// Area of keyframe `index` that no keyframe before it covers, in square pixels of the mosaic.
+/// Area of keyframe `index` that no earlier keyframe covers, in square pixels of the mosaic.
 pub(super) fn own_area(keyframes: &[Keyframe], index: usize, size: (usize, usize)) -> f64 {
     let own = &keyframes[index];
     let reach = |other: &Keyframe| 2.0 * (own.outline.area.sqrt() + other.outline.area.sqrt());

@@ -4,14 +4,14 @@ use super::keyframe::{Keyframe, index_of};
 use super::outline::distance;
 use crate::geometry::Point;
 
-/// Point pairs of an edge at most.
+/// Maximum number of point pairs of an edge.
 pub(super) const MAX_PAIRS: usize = 24;
 /// Edges per keyframe for which memory is reserved.
 const EDGES_PER_KEYFRAME: usize = 8;
 /// An edge between keyframes that were this many edges apart, or not connected, closes a loop.
 const LOOP_HOPS: usize = 4;
 
-/// Points of one keyframe and where another sees them.
+/// Corresponding points of two keyframes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     /// Keyframe of the first point of each pair.
@@ -31,7 +31,7 @@ impl Edge {
         &self.pairs[..self.count]
     }
 
-    /// Root mean square distance in pixels of `to` between where its pairs are and where the keyframes' places put them.
+    /// Root mean square distance in pixels of `to` between the pairs and their positions by the keyframes' poses.
     pub fn error_px(&self, from: &Keyframe, to: &Keyframe) -> Option<f64> {
         let map = to.mosaic_from_frame.inverse()?.compose(&from.mosaic_from_frame);
         let squares: f64 = self.pairs().iter().map(|(p, q)| map.squared_error(*p, *q)).sum();
@@ -40,7 +40,7 @@ impl Edge {
     }
 }
 
-/// How two keyframes are connected.
+/// Connection of two keyframes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Route {
     pub hops: usize,
@@ -64,7 +64,7 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Reserves memory for so many keyframes.
+    /// Reserves memory for this many keyframes.
     pub fn reserve(&mut self, keyframes: usize) {
         let edges = keyframes * EDGES_PER_KEYFRAME;
         self.edges.reserve(edges.saturating_sub(self.edges.len()));

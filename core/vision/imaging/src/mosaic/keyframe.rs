@@ -5,16 +5,16 @@ use super::picture::Picture;
 use crate::features::Features;
 use crate::geometry::Homography;
 
-/// Pixels, features and place of a frame.
+/// Pixels, features and pose of a frame.
 #[derive(Clone, Debug)]
 pub(super) struct Keyframe {
-    /// Rises with every keyframe; never used twice.
+    /// Unique and increasing.
     pub id: u64,
     pub picture: Picture,
     pub features: Features,
     pub mosaic_from_frame: Homography,
     pub outline: Outline,
-    /// Where it was when it was last drawn.
+    /// Pose when it was last drawn.
     pub drawn: Homography,
     /// Gain of blue, green and red.
     pub gain: [f32; 3],

@@ -1,7 +1,7 @@
-//! A mosaic from one moving camera (thesis, section 2.5): every frame is registered to a keyframe, a graph of overlaps connects
-//! the keyframes, and the error of a closed loop is distributed over it.
+//! A mosaic from one moving camera (thesis, section 2.5): every frame is registered to a keyframe, a graph of overlaps
+//! connects the keyframes, and the error of a closed loop is distributed over it.
 //!
-//! [`Mosaic`] takes frames and gives a picture and a report. A frame that cannot be registered changes nothing. Memory
+//! [`Mosaic`] takes frames and returns an image and a report. A frame that cannot be registered changes nothing. Memory
 //! is bounded by the number of keyframes; the oldest one is dropped, and counted, for a new one.
 
 mod adjust;

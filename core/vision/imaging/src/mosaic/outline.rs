@@ -23,7 +23,7 @@ impl Outline {
         upright.then_some(Self { corners, area, centre })
     }
 
-    /// Shared area over the larger of both areas, 0..=1: also falls when one frame is much nearer than the other.
+    /// Shared area over the larger of both areas, 0..=1: also decreases when one frame is much nearer than the other.
     pub fn overlap(&self, other: &Self) -> f64 {
         let reach = (self.area.sqrt() + other.area.sqrt()) * 2.0;
         if distance(self.centre, other.centre) > reach {

@@ -8,7 +8,7 @@ use crate::geometry::{Homography, Plausibility, RansacParams};
 /// Smallest side of a frame, in pixels: smaller ones hold too few features.
 pub const MIN_SIDE_PX: usize = 64;
 
-/// Which maps between keyframes are allowed.
+/// Model of the maps between keyframes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MosaicModel {
     /// Eight parameters: exact for a plane, however the camera moves.
@@ -50,39 +50,41 @@ pub struct MosaicParams {
     pub shrink: usize,
     /// Matching of descriptors.
     pub matching: MatchParams,
-    /// Radius around the predicted place in which matches are sought first, in pixels; 0 searches everywhere.
+    /// Radius around the predicted position in which matches are searched first, in pixels; 0 searches everywhere.
     pub gate_px: f32,
     /// Robust estimation; the threshold is in pixels of the keyframe.
     pub ransac: RansacParams,
-    /// Inliers below which a registration is refused.
+    /// Inliers below which a registration is rejected.
     pub min_inliers: usize,
     /// Share of the matches that must be inliers, 0..=1.
     pub min_inlier_share: f64,
-    /// What a frame may look like in the plane of its keyframe.
+    /// Plausibility limits of a frame in the plane of its keyframe.
     pub plausibility: Plausibility,
-    /// Maps between keyframes.
+    /// Model of the maps between keyframes.
     pub model: MosaicModel,
-    /// A frame that shares less than this with every keyframe becomes one, 0..=1.
+    /// Overlap, 0..=1, below which with every keyframe a frame becomes a keyframe.
     pub keyframe_overlap: f64,
-    /// Keyframes at most; the oldest is dropped for a new one.
+    /// Maximum number of keyframes; the oldest is dropped for a new one.
     pub max_keyframes: usize,
-    /// Register against earlier keyframes and spread the error of closed loops; otherwise against the newest ones only.
+    /// Whether frames are registered against earlier keyframes and errors of closed loops are spread; otherwise only
+    /// against the newest ones.
     pub loop_closure: bool,
-    /// Keyframes that move by more than this in the picture make it be drawn anew, in pixels.
+    /// Movement of a keyframe in the image above which it is redrawn, in pixels.
     pub redraw_px: f64,
-    /// Width of the picture.
+    /// Width of the image.
     pub width: usize,
-    /// Height of the picture.
+    /// Height of the image.
     pub height: usize,
     /// Which part is shown.
     pub view: MosaicView,
-    /// Picture pixels per pixel of the first frame: the most in [`MosaicView::Fit`], fixed in [`MosaicView::Follow`].
+    /// Image pixels per pixel of the first frame: the maximum in [`MosaicView::Fit`], fixed in
+    /// [`MosaicView::Follow`].
     pub zoom: f64,
-    /// Even out the exposure of keyframes.
+    /// Whether the exposure of keyframes is equalised.
     pub exposure: bool,
-    /// Draw the newest frame on top, with its border.
+    /// Whether the newest frame is drawn on top, with its border.
     pub live: bool,
-    /// Mark the picture while the camera is lost.
+    /// Whether the image is marked while the camera is lost.
     pub mark_lost: bool,
 }
 
@@ -124,7 +126,7 @@ impl Default for MosaicParams {
 pub enum MosaicState {
     /// The frame was registered to a keyframe.
     Fresh,
-    /// Not registered: the mosaic is as it was before this frame.
+    /// Not registered: the mosaic is unchanged.
     #[default]
     Lost,
 }
@@ -132,11 +134,11 @@ pub enum MosaicState {
 /// Result of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MosaicReport {
-    /// Whether the newest frame has its position.
+    /// Whether the newest frame was registered.
     pub state: MosaicState,
     /// Maps pixels of the newest frame to those of the first keyframe; the last good one when lost.
     pub mosaic_from_frame: Homography,
-    /// Maps pixels of the first keyframe to those of the picture.
+    /// Maps pixels of the first keyframe to those of the image.
     pub picture_from_mosaic: Homography,
     /// Matches that agree; 0 when lost.
     pub inliers: usize,
@@ -144,7 +146,7 @@ pub struct MosaicReport {
     pub rms_px: f64,
     /// Keyframes in the mosaic.
     pub keyframes: usize,
-    /// Keyframes dropped because no more than `max_keyframes` are held.
+    /// Keyframes dropped because of `max_keyframes`.
     pub dropped: u64,
     /// Loops that were closed so far.
     pub closures: u64,
@@ -152,13 +154,13 @@ pub struct MosaicReport {
     pub relocalised: u64,
     /// Frames that were not registered.
     pub lost_frames: u64,
-    /// Times that the whole picture was drawn anew.
+    /// Times that the whole image was redrawn.
     pub redraws: u64,
     /// Area of the keyframes together, in percent of one frame.
     pub coverage_pct: f64,
     /// Length of the path of the frame's centre since the start, in pixels of the mosaic.
     pub path_px: f64,
-    /// How far off the last closed loop was before its error was spread, in pixels; NaN before any.
+    /// Error of the last closed loop before it was spread, in pixels; NaN before the first.
     pub drift_px: f64,
     /// The same in percent of the length of that loop.
     pub drift_pct: f64,
@@ -166,7 +168,7 @@ pub struct MosaicReport {
     pub spread_px: f64,
 }
 
-/// Why a frame cannot be added, or the mosaic cannot be drawn.
+/// A frame that cannot be added, or a mosaic that cannot be drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MosaicError {
     /// Not three channels.
@@ -192,7 +194,7 @@ pub enum MosaicError {
         /// Rows of the keyframes.
         want_height: usize,
     },
-    /// A picture of another size than asked for.
+    /// An image of another size than required.
     WrongPicture {
         /// Columns.
         width: usize,

@@ -35,7 +35,7 @@ impl Picture {
         halve(half, quarter, pool);
     }
 
-    /// Takes another's pixels without giving memory back.
+    /// Copies another's pixels without freeing memory.
     pub fn copy_from(&mut self, other: &Self) {
         for (own, other) in self.levels.iter_mut().zip(&other.levels) {
             own.bgr.clone_from(&other.bgr);
@@ -43,7 +43,7 @@ impl Picture {
         }
     }
 
-    /// The size to sample when a pixel of the frame is `scale` pixels large where it is drawn, and its map from full size.
+    /// The size to sample for a frame that is drawn with scale `scale`, and its map from full size.
     pub fn level(&self, scale: f64) -> (View<'_, u8>, Homography) {
         let index = if scale < 0.35 { 2 } else { usize::from(scale < 0.7) };
         let level = &self.levels[index];

@@ -1,16 +1,16 @@
-//! Which part of the mosaic the picture shows.
+//! Which part of the mosaic the image shows.
 
 use super::outline::Outline;
 use super::params::{MosaicParams, MosaicView};
 use crate::geometry::Homography;
 
-/// Smallest picture pixels per mosaic pixel; a mosaic that needs less is shown around the newest frame.
+/// Minimum scale, image pixels per mosaic pixel; a larger mosaic is shown around the newest frame.
 const MIN_SCALE: f64 = 0.05;
-/// Scales go down in steps of this, so that a growing mosaic is seldom drawn anew.
+/// Factor between scales, so that a growing mosaic is rarely redrawn.
 const STEP: f64 = 0.85;
-/// The picture is enlarged again when the mosaic needs less than this share of it.
+/// The image is enlarged again when the mosaic needs less than this share of it.
 const LOOSE: f64 = 0.6;
-/// Room left when a scale is chosen, as a share of the picture.
+/// Free space when a scale is chosen, as a share of the image.
 const ROOM: f64 = 0.1;
 
 fn shown_at(scale: f64, centre: [f64; 2], size: (usize, usize)) -> Homography {
@@ -23,9 +23,9 @@ fn is_inside(map: &Homography, bounds: [f64; 4], size: (usize, usize)) -> bool {
     left >= 0.0 && top >= 0.0 && right <= size.0 as f64 - 1.0 && bottom <= size.1 as f64 - 1.0
 }
 
-/// The map from mosaic to picture, `now` while that will do.
+/// The map from mosaic to image, `now` while it is suitable.
 ///
-/// `bounds`: of all keyframes and the newest frame, left, top, right, bottom. `newest`: where the newest frame lies.
+/// `bounds`: of all keyframes and the newest frame, left, top, right, bottom. `newest`: bounds of the newest frame.
 pub(super) fn choose(now: Option<Homography>, bounds: [f64; 4], newest: &Outline, params: &MosaicParams) -> Homography {
     let size = (params.width, params.height);
     let middle = [(bounds[0] + bounds[2]) / 2.0, (bounds[1] + bounds[3]) / 2.0];

@@ -1,11 +1,11 @@
-//! Sparse symmetric systems: Cholesky within the envelope of each row (A. George, J. Liu, "Computer Solution of Large Sparse
-//! Positive Definite Systems", 1981, chapter 4).
+//! Sparse symmetric systems: Cholesky within the envelope of each row (A. George, J. Liu, "Computer Solution of Large
+//! Sparse Positive Definite Systems", 1981, chapter 4).
 
-/// A symmetric positive definite matrix of which each row holds the columns from its first entry to the diagonal.
+/// A symmetric positive definite matrix whose rows store the columns from the first entry to the diagonal.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Skyline {
     first: Vec<usize>,
-    /// Where row `i`'s column 0 would lie in `values`; entries before `first[i]` belong to other rows.
+    /// Position of row `i`'s column 0 in `values`; entries before `first[i]` belong to other rows.
     base: Vec<isize>,
     values: Vec<f64>,
 }
@@ -26,7 +26,7 @@ impl Skyline {
         self.values.resize(end, 0.0);
     }
 
-    /// Takes another's shape and entries.
+    /// Copies another's shape and entries.
     pub fn copy_from(&mut self, other: &Self) {
         self.first.clone_from(&other.first);
         self.base.clone_from(&other.base);
@@ -90,7 +90,7 @@ impl Skyline {
     }
 }
 
-/// Four sums side by side, in an order that does not depend on the machine.
+/// Dot product with four partial sums, in an order that does not depend on the machine.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a4, a_rest) = a.as_chunks::<4>();
     let (b4, b_rest) = b.as_chunks::<4>();

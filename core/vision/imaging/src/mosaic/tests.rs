@@ -1,4 +1,4 @@
-//! The mosaic on scenes whose places are known.
+//! Tests of the mosaic on scenes with known positions.
 
 use super::*;
 use crate::features::testing::{noise, similarity};
@@ -7,10 +7,10 @@ use crate::{Serial, View, ViewMut};
 use panoscope_base::Threads;
 
 const SIZE: (usize, usize) = (320, 240);
-/// Barrel distortion of the test camera: what makes every chain of frames drift.
+/// Barrel distortion of the test camera: which makes every chain of frames drift.
 const BARREL: f64 = 0.012;
 
-/// What a camera sees, its lens distorted by `barrel` at the ends of the picture's longer side.
+/// What a camera sees, its lens distorted by `barrel` at the ends of the image's longer side.
 fn frame(scene_from_image: &Homography, barrel: f64) -> Vec<u8> {
     let (cx, cy) = ((SIZE.0 as f64 - 1.0) / 2.0, (SIZE.1 as f64 - 1.0) / 2.0);
     let mut bgr = Vec::with_capacity(SIZE.0 * SIZE.1 * 3);

@@ -6,15 +6,15 @@ use crate::Parallel;
 use crate::features::{Features, Gate, Match, Matcher};
 use crate::geometry::{Homography, Point, Ransac};
 
-/// Cells over a frame of which each gives one inlier to an edge.
+/// Cells of a frame; each contributes one inlier to an edge.
 const CELLS: (usize, usize) = (6, 4);
-/// Least spread of the inliers across their narrow direction, as a share of the frame's larger side: an instrument that moves
-/// with the camera, or a gap in smoke, has matches that agree with each other but not with the scene.
+/// Minimum spread of the inliers across their narrow direction, as a share of the frame's larger side: an instrument
+/// that moves with the camera, or a gap in smoke, has matches that agree with each other but not with the scene.
 const MIN_SPREAD: f64 = 0.035;
 /// Factor on the evidence that a strict test needs.
 const STRICT: f64 = 1.6;
 
-/// How much evidence a registration needs.
+/// Strictness of the test of a registration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Test {
     /// The position is near the predicted one.
@@ -53,7 +53,7 @@ pub(super) struct Tracker {
 }
 
 impl Tracker {
-    /// Reserves memory for so many keypoints.
+    /// Reserves memory for this many keypoints.
     pub fn reserve(&mut self, points: usize) {
         self.from.reserve(points);
         self.to.reserve(points);
@@ -62,9 +62,9 @@ impl Tracker {
         self.ransac.reserve(points);
     }
 
-    /// Position of a frame in a keyframe; `None` when the evidence does not suffice.
+    /// Position of a frame in a keyframe; `None` if the evidence is insufficient.
     ///
-    /// `expected` limits matching to the surroundings of a predicted place.
+    /// `expected` limits matching to the surroundings of a predicted position.
     pub fn register(
         &mut self,
         keyframe: &Features,

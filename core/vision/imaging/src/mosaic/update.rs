@@ -16,27 +16,28 @@ use crate::{Parallel, View, ViewMut, draw};
 
 /// Other keyframes that a frame is compared with when it does not match the expected one.
 const TRIES: usize = 3;
-/// How much more a keyframe must share with the frame than the one in use before it takes its place.
+/// Minimum additional overlap of a keyframe before it replaces the one in use.
 const HANDOVER: f64 = 0.08;
-/// Frames for which a keyframe that refused a handover is not asked again.
+/// Cool-down after a rejected handover, frames.
 const REFUSED_FRAMES: u32 = 5;
-/// Neighbours on the way here, and keyframes of earlier passes, that a new keyframe is compared with.
+/// Number of neighbours, and of keyframes of earlier passes, that a new keyframe is compared with.
 const NEIGHBOURS: usize = 2;
 const EARLIER: usize = 3;
-/// Earlier keyframes are sought within a frame's side times the first, and the second share of the way round the loop.
+/// Search radius for earlier keyframes: the first factor times a frame's side plus the second share of the loop's
+/// length.
 const SEARCH: (f64, f64) = (0.9, 0.05);
-/// A loop that would move the newest keyframe by more than a frame's side times the first, and the second share of the way
-/// round it, is rejected.
+/// Maximum movement of the newest keyframe by a loop: the first factor times a frame's side plus the second share of
+/// the loop's length.
 const BELIEVED: (f64, f64) = (0.4, 0.15);
-/// Without loop closure frames are registered against this many of the newest keyframes.
+/// Number of newest keyframes against which frames are registered without loop closure.
 const NEWEST: usize = 2;
-/// Areas of a frame in the mosaic, in frames, between which a position is accepted.
+/// Minimum and maximum area of a frame in the mosaic, in frames.
 const AREAS: (f64, f64) = (0.05, 20.0);
-/// Neighbours further off than this after a keyframe was added are adjusted, in pixels.
+/// Error above which neighbours of a new keyframe are adjusted, in pixels.
 const SETTLE_PX: f64 = 0.5;
 
-/// A frame with fewer inliers than this many times the least becomes a keyframe already when it shares less than the second: later, the camera might be
-/// lost before the overlap falls.
+/// A frame with fewer inliers than this multiple of the minimum becomes a keyframe early, before the camera may be
+/// lost.
 const WEAK_INLIERS: usize = 3;
 const WEAK_OVERLAP: f64 = 0.9;
 
@@ -60,14 +61,14 @@ pub struct Mosaic {
     tracker: Tracker,
     canvas: Canvas,
     is_shown: bool,
-    /// No edge disagrees with the positions.
+    /// Whether all edges agree with the positions.
     is_settled: bool,
     /// Keyframe that the newest frame was registered to.
     active: u64,
     next_id: u64,
     /// Next keyframe to compare a lost frame with.
     cursor: usize,
-    /// Keyframe that refused a handover, and frames until it is asked again.
+    /// Keyframe whose handover was rejected, and frames until the next attempt.
     refused: (u64, u32),
     near: Vec<(f64, u64)>,
     outline: Option<Outline>,
@@ -123,7 +124,7 @@ impl Mosaic {
         }
     }
 
-    /// Forgets everything but the parameters.
+    /// Clears everything except the parameters.
     pub fn reset(&mut self) {
         let whole = self.canvas.whole();
         self.canvas.clear(whole);
@@ -139,9 +140,9 @@ impl Mosaic {
         self.keyframes.iter().map(|keyframe| keyframe.mosaic_from_frame)
     }
 
-    /// Registers a BGR frame and adds what it shows that is new.
+    /// Registers a BGR frame and adds its new parts.
     ///
-    /// A frame without a place is a state in the report, not an error, and changes nothing but counters.
+    /// A frame without a position is a state in the report, not an error, and changes only counters.
     ///
     /// # Errors
     /// A frame that is not BGR, too small, or of another size than the keyframes.
@@ -208,7 +209,7 @@ impl Mosaic {
         Ok(())
     }
 
-    /// The first keyframe, when the frame shows enough to find it again.
+    /// Makes the frame the first keyframe if it has enough features to find it again.
     fn begin(&mut self, pool: &dyn Parallel) -> bool {
         let identity = Homography::identity();
         let Some(outline) = Outline::of(&identity, self.size) else { return false };
@@ -227,7 +228,7 @@ impl Mosaic {
         true
     }
 
-    /// Finds the frame's position, and makes it a keyframe where little of it is known.
+    /// Finds the frame's position, and makes it a keyframe if it adds enough area.
     fn register_frame(&mut self, pool: &dyn Parallel) -> bool {
         let was_fresh = self.report.state == MosaicState::Fresh;
         let before = self.outline.map(|outline| outline.centre);
@@ -266,7 +267,7 @@ impl Mosaic {
         if self.params.loop_closure { 0 } else { self.keyframes.len().saturating_sub(NEWEST) }
     }
 
-    /// A keyframe that holds the frame.
+    /// Finds a keyframe that contains the frame.
     fn find_keyframe(&mut self, was_fresh: bool, pool: &dyn Parallel) -> Option<(usize, Link)> {
         let first = self.eligible();
         let active = self.active_index()?;
@@ -315,7 +316,7 @@ impl Mosaic {
         self.tracker.register(keyframe, &self.features, expected, test, self.size, &self.params, pool)
     }
 
-    /// Where the frame lies in the mosaic; `None` when that cannot be.
+    /// Pose of the frame in the mosaic; `None` if it is implausible.
     fn locate(&mut self, index: usize, link: &Link) -> Option<Outline> {
         let pose = self.keyframes[index].mosaic_from_frame.compose(&link.keyframe_from_frame);
         let outline = Outline::of(&pose, self.size)?;
@@ -326,7 +327,8 @@ impl Mosaic {
         })
     }
 
-    /// Changes to the keyframe that shares most with the frame, which is registered to both: no step between them goes unseen.
+    /// Changes to the keyframe that shares most with the frame, which is registered to both: so that no step between
+    /// them is missed.
     fn hand_over(&mut self, link: Link, outline: &Outline, pool: &dyn Parallel) -> Link {
         let Some(active) = self.active_index() else { return link };
         let shared = |k: &Keyframe| k.outline.overlap(outline);
@@ -366,8 +368,8 @@ impl Mosaic {
         other
     }
 
-    /// Adds an edge between keyframes; one that disagrees with their positions leaves them to be settled. False for an edge that is
-    /// rejected.
+    /// Adds an edge between keyframes; an edge that disagrees with their positions marks them for adjustment. Returns
+    /// false for a rejected edge.
     fn connect(&mut self, edge: Edge) -> bool {
         let (Some(from), Some(to)) = (index_of(&self.keyframes, edge.from), index_of(&self.keyframes, edge.to)) else {
             return false;
@@ -389,7 +391,7 @@ impl Mosaic {
         true
     }
 
-    /// Adjusts all positions when an edge disagrees with them, and draws the mosaic anew when they moved noticeably.
+    /// Adjusts all positions when an edge disagrees with them, and redraws the mosaic if they moved noticeably.
     fn settle(&mut self, pool: &dyn Parallel) {
         if std::mem::replace(&mut self.is_settled, true) {
             return;
@@ -408,7 +410,7 @@ impl Mosaic {
         }
     }
 
-    /// Makes the newest frame a keyframe and connects it with what it overlaps.
+    /// Makes the newest frame a keyframe and connects it with overlapping keyframes.
     fn add_keyframe(&mut self, link: &Link, pool: &dyn Parallel) {
         let Some(outline) = self.outline else { return };
         let mut links: [Option<(u64, Link)>; NEIGHBOURS + EARLIER] = [None; NEIGHBOURS + EARLIER];
@@ -459,7 +461,7 @@ impl Mosaic {
         self.count_area();
     }
 
-    /// Stores the newest frame as a keyframe, in the place of the oldest when there are enough, and draws it.
+    /// Stores the newest frame as a keyframe, replacing the oldest at the limit, and draws it.
     fn keep(&mut self, outline: Outline, pool: &dyn Parallel) -> u64 {
         let slot = if self.keyframes.len() >= self.params.max_keyframes.max(1) { self.drop_oldest(pool) } else { None };
         let pose = self.report.mosaic_from_frame;
@@ -493,7 +495,7 @@ impl Mosaic {
         self.active
     }
 
-    /// Drops the oldest keyframe that is not in use, with its part of the picture. Gives its memory.
+    /// Drops the oldest keyframe that is not in use, with its part of the image. Returns its memory.
     fn drop_oldest(&mut self, pool: &dyn Parallel) -> Option<Keyframe> {
         let is_free = |k: &Keyframe| k.id != self.active;
         let index = self.keyframes.iter().position(is_free).unwrap_or(0);
@@ -528,7 +530,7 @@ impl Mosaic {
         self.report.coverage_pct = 100.0 * self.keyframes.iter().map(|k| k.own_area).sum::<f64>() / frame;
     }
 
-    /// Chooses what the picture shows, and draws it anew when that changed.
+    /// Chooses the shown part and redraws the image if it changed.
     fn aim(&mut self, pool: &dyn Parallel) {
         let newest = self.outline.or_else(|| self.keyframes.last().map(|k| k.outline));
         let Some(newest) = newest else { return };

@@ -1,16 +1,16 @@
-//! Blending in the zone around the seam (Burt and Adelson 1983), on the difference of the two pictures.
+//! Blending in the zone around the seam (Burt and Adelson 1983), on the difference of the two images.
 //!
 //! With D = first - second, blending both pyramids with weights W and 1 - W equals second + collapse(W_l * D_l): one
-//! pyramid instead of two, and none at all where only one picture is shown.
+//! pyramid instead of two, and none where only one image is shown.
 
 use super::pyramid::{self, LANES, PAD};
 use super::warp::Pixels;
 use crate::{Parallel, SharedMut};
 
-/// Chunks that a level's rows are split into, at most. Independent of the number of threads.
+/// Maximum number of chunks of a level's rows. Independent of the number of threads.
 const CHUNKS: usize = 16;
 
-/// Takes a zone row: its index, the blended values and the differences.
+/// Receives a zone row: its index, the blended values and the differences.
 pub type WriteRow<'a> = dyn Fn(usize, &[i16], &[i16]) + Sync + 'a;
 
 /// Rows that share one active range.
@@ -18,7 +18,7 @@ pub const RANGE_ROWS: usize = 16;
 
 /// Columns of a zone, per block of [`RANGE_ROWS`] rows, in which weights can differ from zero and one.
 ///
-/// Level 0 is worked on inside these columns only; the coarser levels outside repeat the border values.
+/// Level 0 is processed only inside these columns; the coarser levels outside repeat the border values.
 #[derive(Clone, Debug, Default)]
 pub struct Ranges {
     width: usize,
@@ -75,7 +75,7 @@ fn split(rows: usize) -> (usize, usize) {
     (rows.div_ceil(per), per)
 }
 
-/// Grows a work buffer; existing elements keep whatever they held.
+/// Grows a work buffer; existing elements are unchanged.
 fn at_least<T: Copy + Default>(buffer: &mut Vec<T>, len: usize) {
     if buffer.len() < len {
         buffer.resize(len, T::default());
@@ -104,7 +104,7 @@ impl Blender {
         self.scratch.reserve(scratch.saturating_sub(self.scratch.len()));
     }
 
-    /// Makes room for a zone of `width` x `height` pixels and `levels` halvings.
+    /// Prepares buffers for a zone of `width` x `height` pixels and `levels` halvings.
     pub fn reset(&mut self, width: usize, height: usize, levels: usize) {
         self.sizes.clear();
         let (mut w, mut h) = (width, height);
@@ -130,13 +130,14 @@ impl Blender {
         &mut self.fine[0][..w * h * LANES]
     }
 
-    /// As [`Blender::differences`], with a row of work memory beside it.
+    /// As [`Blender::differences`], with a row of work memory.
     pub fn differences_and_row(&mut self) -> (&mut [i16], &mut [i16]) {
         let (w, h) = self.sizes[0];
         (&mut self.fine[0][..w * h * LANES], &mut self.scratch[..w * LANES])
     }
 
-    /// Builds the levels, and collapses them down to level 1. With `bands == false` only the weights are blurred (feather).
+    /// Builds the levels, and collapses them down to level 1. With `bands == false` only the weights are blurred
+    /// (feather).
     pub fn build(&mut self, bands: bool, ranges: &Ranges, pool: &dyn Parallel, avx2: bool) {
         if self.sizes.len() == 1 {
             return;

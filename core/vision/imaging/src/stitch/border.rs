@@ -1,6 +1,6 @@
-//! The outer border of a panorama, which is ragged where views end: faded to black, or cut straight.
+//! The outer border of a panorama, which is ragged where views end: faded to black, or cropped.
 //!
-//! A view ends where its tissue does: the black that surrounds the round picture of an endoscope, or that rectification leaves, is outside.
+//! Black areas around the round image of an endoscope, or left by rectification, count as outside of a view.
 
 use super::crop::LargestRectangle;
 use super::params::{BorderMethod, CompositeParams};
@@ -9,20 +9,20 @@ use crate::{Parallel, Rect, SharedMut, ViewMut};
 
 /// Side of a cell of the coarse grid that distances and rectangles are found on, px.
 const CELL_PX: usize = 4;
-/// Brightest level of the black around a view; noise and compression lift it off 0.
+/// Maximum level of the black around a view; noise and compression raise it above 0.
 const BLACK_LEVELS: u8 = 16;
 /// Rows of a chunk of parallel work.
 const CHUNK_ROWS: usize = 64;
-/// Share of the largest rectangle, in percent, that the last one must still have to be kept.
+/// Share of the largest rectangle, in percent, that the previous one must have to be kept.
 const KEPT_PERCENT: usize = 95;
 
-/// Draws the border. Reuses its memory, and keeps its rectangle while that still fits.
+/// Draws the border. Reuses its memory, and keeps its rectangle while it fits.
 #[derive(Debug, Default)]
 pub(super) struct Border {
-    /// Distance of each cell to what no view covers, px, up to the width of the fade.
+    /// Distance of each cell to the uncovered area, px, up to the width of the fade.
     distance_px: Vec<f32>,
     largest: LargestRectangle,
-    /// Black cells whose neighbours are to be looked at.
+    /// Black cells whose neighbours must be visited.
     black: Vec<usize>,
     kept: Option<Rect>,
 }
@@ -42,7 +42,7 @@ impl Border {
         }
     }
 
-    /// The cells that views cover in all their pixels, but for the black between them and the border.
+    /// The cells that are fully covered by views, without the black between them and the border.
     fn cells(&mut self, spans: &[Vec<Span>], out: &ViewMut<u8>) -> (usize, usize) {
         let (width, height) = (out.width, out.height);
         let (columns, rows) = (width / CELL_PX, height / CELL_PX);
@@ -63,7 +63,7 @@ impl Border {
         (columns, rows)
     }
 
-    /// Takes out the black cells that are joined to what no view covers.
+    /// Removes the black cells that are connected to the uncovered area.
     fn leave_black_out(&mut self, out: &ViewMut<u8>, (columns, rows): (usize, usize)) {
         let is_black = |cell: usize| {
             let (x, y) = (cell % columns * CELL_PX, cell / columns * CELL_PX);
@@ -194,7 +194,8 @@ fn between(pixel: usize, cells: usize) -> (usize, usize, f32) {
     (before, behind, (place - first).clamp(0.0, 1.0))
 }
 
-/// Distances to the nearest cell that is 0 or lies outside, px, up to `most`: 1 to the next cell, 1.4 to that at the corner.
+/// Distances to the nearest cell that is 0 or lies outside, px, up to `most`: 1 to the next cell, 1.4 to that at the
+/// corner.
 fn chamfer(distance_px: &mut [f32], (columns, rows): (usize, usize), most: f32) {
     let (side, corner) = (CELL_PX as f32, CELL_PX as f32 * std::f32::consts::SQRT_2);
     // Half a cell before the border: its centre.
@@ -234,7 +235,7 @@ mod tests {
 
     const SIZE: (usize, usize) = (200, 120);
 
-    /// A disc-like cover: rows are narrower towards top and bottom.
+    /// A disc-like coverage: rows are narrower towards top and bottom.
     fn ragged() -> Vec<Vec<Span>> {
         let rows = (0..SIZE.1).map(|y| {
             let inset = y.abs_diff(60) as u32 / 2 + y as u32 % 7;

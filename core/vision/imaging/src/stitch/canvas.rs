@@ -1,8 +1,8 @@
-//! The canvas: chosen once, then held, so that the border of the panorama never jumps.
+//! The canvas: chosen once and then kept, so that the border of the panorama never jumps.
 
 use super::params::{Canvas, CompositeParams, GeometryFault};
 
-/// Sizes are rounded up to a multiple of this, which encoders like.
+/// Sizes are rounded up to a multiple of this, as encoders prefer.
 const ROUND_PX: i64 = 16;
 
 /// Chooses a canvas from the first good geometry and keeps it.
@@ -43,7 +43,7 @@ impl Bounds {
 }
 
 impl CanvasHolder {
-    /// The canvas in force, if geometry has been good once.
+    /// The canvas in force, if there was good geometry.
     pub fn current(&self) -> Option<Canvas> {
         self.canvas
     }
@@ -53,7 +53,7 @@ impl CanvasHolder {
         *self = Self::default();
     }
 
-    /// Takes the bounds of a good geometry and gives the canvas for it.
+    /// Returns the canvas for the bounds of a good geometry.
     ///
     /// # Errors
     /// When the panorama would exceed the size bound; the canvas in force is kept.

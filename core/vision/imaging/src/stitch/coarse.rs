@@ -1,26 +1,27 @@
-//! Disparity maps smaller than the pictures that they belong to: the depth of large pictures is found on small ones.
+//! Disparity maps smaller than the images that they belong to: the depth of large images is computed on small ones.
 //!
-//! Pixel `i` of a map that is smaller by a factor `n` stands for the pixels `n i` to `n i + n - 1` of the picture, and counts disparity in its own pixels.
+//! Pixel `i` of a map that is smaller by a factor `n` covers the pixels `n i` to `n i + n - 1` of the image, and
+//! counts disparity in its own pixels.
 
 use crate::geometry::Homography;
 
-/// By how much a disparity map is smaller than a picture, each way; `None` when its size is no whole part of the picture's.
+/// Factor by which a disparity map is smaller than an image; `None` if the sizes are not related by a whole factor.
 pub fn map_factor(map: (usize, usize), picture: (usize, usize)) -> Option<usize> {
     let factor = picture.0.checked_div(map.0)?;
     (factor > 0 && (picture.0 / factor, picture.1 / factor) == map).then_some(factor)
 }
 
-/// A map between large pictures, of one between small ones.
+/// Converts a map between small images to one between large images.
 pub(super) fn enlarged(small: &Homography, factor: usize) -> Homography {
     within(small, factor as f64)
 }
 
-/// A map between small pictures, of one between large ones.
+/// Converts a map between large images to one between small images.
 pub(super) fn shrunk(large: &Homography, factor: usize) -> Homography {
     within(large, 1.0 / factor as f64)
 }
 
-/// The same map between pictures whose pixels are smaller by a factor.
+/// The same map between images whose pixels are smaller by a factor.
 fn within(map: &Homography, factor: f64) -> Homography {
     let shift = |px: f64| Homography::translation(px, px);
     let there = shift(0.5).product(map).product(&shift(-0.5));

@@ -17,17 +17,17 @@ use crate::geometry::{Homography, Point};
 use crate::lit::{LitFinder, LitPart};
 use crate::{Parallel, Rect, Simd, View, ViewMut};
 
-/// Time from one frame to the next that is taken when none is set, s.
+/// Default time between frames, s.
 const USUAL_FRAME_S: f64 = 1.0 / 30.0;
 
-/// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
-/// work memory. In steady state nothing is allocated.
+/// Joins views into one panorama. Keeps all state between frames: canvas, seam, gains, last good geometry, work memory.
+/// In steady state nothing is allocated.
 #[derive(Debug, Default)]
 pub struct Compositor {
     pub(super) params: CompositeParams,
     holder: CanvasHolder,
     crop: Crop,
-    /// Lit parts of the views that none is given for, found while the panorama is cropped.
+    /// Finders of the lit parts of views without a given one, used while the panorama is cropped.
     finders: [LitFinder; MAX_VIEWS],
     is_lit_given: [bool; MAX_VIEWS],
     /// Canvas of the frame before.
@@ -38,9 +38,9 @@ pub struct Compositor {
     good: Option<[[f64; 9]; MAX_VIEWS]>,
     prepared: Option<Prepared>,
     placed: Option<(Canvas, usize, [[f64; 9]; MAX_VIEWS])>,
-    /// A mesh has changed since the geometry was placed.
+    /// Whether a mesh has changed since the geometry was placed.
     has_new_mesh: bool,
-    /// A lit part has.
+    /// Whether a lit part has changed since the geometry was placed.
     has_new_part: bool,
     pub(super) layers: Layers,
     border: Border,
@@ -92,7 +92,8 @@ impl Compositor {
         }
     }
 
-    /// Lets `painter` draw the panoramas of one and of two views, up to their blending; the processor draws all others. A painter that fails is given up.
+    /// Lets `painter` draw the panoramas of one and of two views, up to their blending; the processor draws all others.
+    /// A painter that fails is not used again.
     pub fn set_painter(&mut self, painter: Option<Box<dyn Painter>>) {
         self.painter = painter;
         self.painter_fault = None;
@@ -103,12 +104,12 @@ impl Compositor {
         self.painter.is_some()
     }
 
-    /// Why the painter was given up, once.
+    /// The error of the failed painter; returned once.
     pub fn take_painter_fault(&mut self) -> Option<String> {
         self.painter_fault.take()
     }
 
-    /// Forgets canvas, seam, gains and geometry, as after a cut in the video. Work memory stays.
+    /// Clears canvas, seam, gains and geometry, as after a cut in the video. Work memory stays.
     pub fn reset(&mut self) {
         self.holder.reset();
         self.crop.forget();
@@ -120,15 +121,17 @@ impl Compositor {
         self.border.forget();
     }
 
-    /// Says how much time passes from one frame to the next, which the crop counts; 1/30 s unless set. At most 1 s counts.
+    /// Sets the time between frames, which the crop uses; default 1/30 s, at most 1 s.
     pub fn set_frame_interval(&mut self, interval: std::time::Duration) {
         self.frame_s = Some(interval.as_secs_f64().min(1.0));
     }
 
-    /// Draws view `view` by a mesh instead of its homography, or by its homography again with `None`, from the next frame on.
+    /// Draws view `view` by a mesh instead of its homography, or by its homography again with `None`, from the next
+    /// frame on.
     ///
-    /// The mesh maps the reference plane to this view. The homography still says whether the frame is used, and the canvas covers both. The mesh of the
-    /// reference view, number 0, moves a part of it on that plane; outside the mesh it stays where it is. A view beyond [`MAX_VIEWS`] has none.
+    /// The mesh maps the reference plane to this view. The homography still decides whether the frame is used, and the
+    /// canvas covers both. The mesh of the reference view, number 0, moves a part of it on that plane; outside the mesh
+    /// it is unchanged. Views beyond [`MAX_VIEWS`] are ignored.
     pub fn set_mesh(&mut self, view: usize, mesh: Option<&Mesh>) {
         if view >= MAX_VIEWS {
             return;
@@ -144,10 +147,10 @@ impl Compositor {
         }
     }
 
-    /// Shows, blends and compares only the lit part of view `view` from the next frame on; all of it with `None`. A part of another size than the view has
-    /// no effect.
+    /// Shows, blends and compares only the lit part of view `view` from the next frame on; all of it with `None`. A
+    /// part of another size than the view has no effect.
     ///
-    /// A cropped panorama finds the lit parts of views without one itself.
+    /// In a cropped panorama the lit parts of other views are found automatically.
     pub fn set_lit(&mut self, view: usize, part: Option<&LitPart>) {
         if let Some(given) = self.is_lit_given.get_mut(view) {
             *given = part.is_some();
@@ -163,7 +166,7 @@ impl Compositor {
     /// The canvas that [`compose`](Self::compose) will draw on when called next with the same arguments.
     ///
     /// # Errors
-    /// When views and homographies do not fit together; bad homographies are answered with the last good canvas.
+    /// When views and homographies do not fit together; bad homographies give the last good canvas.
     pub fn canvas(
         &mut self,
         views: &[View<u8>],
@@ -173,8 +176,8 @@ impl Compositor {
         Ok(self.prepare(views, left_from_view, state)?.canvas)
     }
 
-    /// Whether [`compose`](Self::compose), called next with the same arguments, uses these homographies; `false` when the
-    /// last good geometry (or the reference view alone) would stand in for them.
+    /// Whether [`compose`](Self::compose), called next with the same arguments, uses these homographies; `false` when
+    /// the last good geometry (or the reference view alone) would be used instead.
     ///
     /// # Errors
     /// When views and homographies do not fit together.
@@ -291,7 +294,7 @@ impl Compositor {
         Ok(self.crop.canvas().unwrap_or(canvas))
     }
 
-    /// Shows the crop what the views cover on the plane, as they are drawn.
+    /// Updates the crop with the area that the drawn views cover on the plane.
     fn look(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS], bounds: Bounds) {
         for (index, (finder, view)) in self.finders.iter_mut().zip(views).enumerate() {
             if !self.is_lit_given[index] && finder.look(*view, None) {
@@ -329,8 +332,8 @@ impl Compositor {
     ///
     /// `left_from_view[i]` (row-major 3x3) maps pixels of view `i` to those of the reference view, which comes first
     /// and has the identity. With `state` lost, or with homographies that [`GeometryFault`] names, the last good
-    /// geometry stands in and the frame is marked; before any good geometry the reference view alone is shown.
-    /// `out` (BGR) and `mask_out` (gray, 255 where a view lies) must have the size of [`canvas`](Self::canvas).
+    /// geometry is used and the frame is marked; before any good geometry the reference view alone is shown. `out`
+    /// (BGR) and `mask_out` (gray, 255 inside a view) must have the size of [`canvas`](Self::canvas).
     ///
     /// # Errors
     /// When views, homographies or outputs do not fit together.
@@ -400,10 +403,10 @@ impl Compositor {
         })
     }
 
-    /// Writes which view each pixel of the picture drawn last shows: 0 none, 1 the first, 2 the second and so on.
+    /// Writes the view that each pixel of the last image shows: 0 none, 1 the first, 2 the second and so on.
     ///
     /// # Errors
-    /// When `out` is not gray or has not the size of the canvas drawn on last.
+    /// When `out` is not gray or does not have the size of the last canvas.
     pub fn shown(&self, out: &mut ViewMut<u8>) -> Result<(), CompositeError> {
         let Some((canvas, active, _)) = self.placed else {
             return Err(CompositeError::Output { width: 0, height: 0, channels: 1 });
@@ -493,7 +496,7 @@ impl Compositor {
         }
     }
 
-    /// Brings the geometry of all views onto the canvas.
+    /// Computes the geometry of all views on the canvas.
     fn place(&mut self, p: &Prepared, avx2: bool) {
         let scale = self.params.cell_px(self.sizes[0].0);
         let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
@@ -534,7 +537,7 @@ impl Compositor {
 }
 
 impl Compositor {
-    /// Leaves out what the second of two views shows beyond a rim of the first on the side where it shows less.
+    /// Removes the part of the second of two views beyond a rim of the first, on the side where it shows less.
     fn cut_beyond_first(&mut self) {
         let Layers { spans, warps, is_left, .. } = &mut self.layers;
         let ([base, new, ..], [first, second, ..]) = (&mut spans[..], &mut warps[..]) else { return };
@@ -555,7 +558,7 @@ fn on_canvas([low, high]: [Point; 2], canvas: Canvas) -> Option<Rect> {
     (x0 < x1 && y0 < y1).then_some(Rect { x: x0, y: y0, width: x1 - x0, height: y1 - y0 })
 }
 
-/// Adds to the columns that the mesh of the reference view covers those beside the mesh, where that view stays where it is.
+/// Adds to the columns that the mesh of the reference view covers those outside the mesh, where that view is unchanged.
 fn stay_outside(mesh: &Mesh, (width, height): (usize, usize), canvas: Canvas, spans: &mut [Span]) {
     let lattice = mesh.lattice();
     let ([x0, y0], [x1, y1]) = (lattice.position(0, 0), lattice.position(lattice.columns - 1, lattice.rows - 1));

@@ -1,34 +1,35 @@
-//! Correspondences of two pictures by correlation alone, without features and without a prior on the geometry: a judge of
-//! registrations that shares nothing with what it judges.
+//! Correspondences of two images by correlation alone, without features and without a prior on the geometry: an
+//! evaluation of registrations that shares no method with them.
 //!
-//! Patches of the second picture are sought in all of the first one at a coarse scale by normalised cross-correlation, followed
-//! down to full size, placed between pixels by a parabola, and sought back; what does not come back to where it started is dropped.
+//! Patches of the second image are searched in all of the first one at a coarse scale by normalised cross-correlation,
+//! followed down to full size, refined by a parabola, and searched back; patches that do not return to their start are
+//! dropped.
 
 use super::evaluate::Gray;
 use crate::geometry::Point;
 use crate::{Parallel, SharedMut};
 
-/// Columns of the coarsest level at most.
+/// Maximum number of columns of the coarsest level.
 const COARSE_COLUMNS: usize = 96;
 /// Half the side of a patch at every level, px of that level.
 const HALF: usize = 7;
-/// How far each finer level looks around the coarser one's place, px.
+/// Search radius of each finer level around the coarser position, px.
 const REACH: isize = 2;
-/// Correlation that the coarsest level must reach, and by how much every other place must fall short of it.
+/// Minimum correlation at the coarsest level, and its minimum lead over all other positions.
 const COARSE: (f32, f32) = (0.75, 0.08);
-/// Positions this near belong to the same top, px.
+/// Maximum distance of positions of the same peak, px.
 const SAME_TOP: usize = 2;
 /// Smallest spread of a patch's gray levels for a correlation.
 const MIN_DEVIATION: f32 = 2.0;
 
-/// How correspondences are sought.
+/// Parameters of the search for correspondences.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CorrespondParams {
-    /// Patches are taken every so many pixels.
+    /// Spacing of the patches.
     pub step_px: usize,
-    /// Least correlation at full size, 0..=1.
+    /// Minimum correlation at full size, 0..=1.
     pub min_correlation: f32,
-    /// Largest distance between a patch and where its counterpart comes back to, px.
+    /// Maximum distance between a patch and the match of its counterpart, px.
     pub back_px: f64,
 }
 
@@ -38,12 +39,12 @@ impl Default for CorrespondParams {
     }
 }
 
-/// The same point in both pictures, px.
+/// The same point in both images, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correspondence {
-    /// Place in the first (left) picture.
+    /// Position in the first (left) image.
     pub left: Point,
-    /// Place in the second (right) picture.
+    /// Position in the second (right) image.
     pub right: Point,
 }
 
@@ -57,7 +58,7 @@ fn halved(picture: &Gray) -> Gray {
     Gray { data, width, height }
 }
 
-/// Full size first.
+/// Pyramid of an image, full size first.
 fn levels(picture: &Gray) -> Vec<Gray> {
     let mut all = vec![picture.clone()];
     while all[all.len() - 1].width > COARSE_COLUMNS && all[all.len() - 1].height > 6 * HALF {
@@ -91,7 +92,7 @@ impl Patch {
         Some(Self(values))
     }
 
-    /// Correlation with the patch around a place of another picture, which must lie inside; -1 on flat ground.
+    /// Correlation with the patch around a position in another image, which must be inside; -1 on flat ground.
     fn with(&self, picture: &Gray, x: usize, y: usize) -> f32 {
         let (mut sum, mut square, mut cross) = (0.0f32, 0.0f32, 0.0f32);
         for (row, part) in self.0.as_chunks::<SIDE>().0.iter().enumerate() {
@@ -106,7 +107,7 @@ impl Patch {
         if spread < (MIN_DEVIATION * SIDE as f32).powi(2) { -1.0 } else { cross / spread.sqrt() }
     }
 
-    /// The best place in a part of the picture.
+    /// The best position in a part of the image.
     fn best(&self, picture: &Gray, columns: [isize; 2], rows: [isize; 2]) -> Option<(usize, usize, f32)> {
         let inside = |[from, to]: [isize; 2], length: usize| {
             let last = length as isize - HALF as isize - 1;
@@ -124,7 +125,7 @@ impl Patch {
         best
     }
 
-    /// The best place of the whole picture when no other comes near it.
+    /// The best position in the whole image if it is unique.
     fn only(&self, picture: &Gray) -> Option<(usize, usize, f32)> {
         let (mut best, mut values) = ((0, 0, -1.0f32), Vec::new());
         for y in HALF..picture.height.saturating_sub(HALF) {
@@ -142,13 +143,13 @@ impl Patch {
     }
 }
 
-/// Top of the parabola through three values one apart, relative to the middle one.
+/// Peak of the parabola through three values one apart, relative to the middle one.
 fn top(before: f32, here: f32, after: f32) -> f64 {
     let curve = before - 2.0 * here + after;
     if curve < -1e-6 { f64::from(((before - after) / (2.0 * curve)).clamp(-0.5, 0.5)) } else { 0.0 }
 }
 
-/// Seeks the surroundings of pixel `(x, y)` of `from` in `to`; both full size first.
+/// Searches the surroundings of pixel `(x, y)` of `from` in `to`; both full size first.
 fn seek(from: &[Gray], to: &[Gray], (x, y): (usize, usize)) -> Option<(Point, f32)> {
     let mut place: Option<(usize, usize)> = None;
     for level in (0..from.len().min(to.len())).rev() {
@@ -179,7 +180,7 @@ fn seek(from: &[Gray], to: &[Gray], (x, y): (usize, usize)) -> Option<(Point, f3
     None
 }
 
-/// Finds correspondences of two gray pictures; allocates, as it is meant for judging.
+/// Finds correspondences of two gray images; allocates, because it is meant for evaluation.
 pub fn correspondences(
     left: &Gray,
     right: &Gray,
@@ -220,7 +221,7 @@ mod tests {
     use crate::Serial;
     use panoscope_base::random::lattice;
 
-    /// Blobs of several sizes: what tissue has, and what a repeated pattern lacks.
+    /// Blobs of several sizes: which tissue has and a repeated pattern lacks.
     fn scene(width: usize, height: usize, shift: [f64; 2], seed: u64) -> Gray {
         let value = |x: f64, y: f64| {
             let mut sum = 128.0;

@@ -1,7 +1,9 @@
-//! One picture cut into two overlapping views, as two cameras would see it: pictures of real tissue with a true homography.
+//! One image cut into two overlapping views, like the views of two cameras: images of real tissue with a true
+//! homography.
 //!
-//! The left view is a part of the picture as it is. The right view sees the other side of it under another perspective that sways
-//! slowly, darker and tinted. Both carry noise of their own. Everything random comes from a seed and the number of the frame.
+//! The left view is an unchanged part of the image. The right view shows the other side of it with a slowly changing
+//! perspective, darker and tinted. Both have independent noise. All randomness is derived from a seed and the number of
+//! the frame.
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -19,11 +21,11 @@ const ROWS: usize = 16;
 pub struct CutParams {
     /// Share of a view's width that the other view shows too, 0.1..=0.9.
     pub overlap: f64,
-    /// How far each corner of the right view is drawn in at most, px.
+    /// Maximum inward displacement of each corner of the right view, px.
     pub perspective_px: f64,
-    /// How far each corner sways around its position, px.
+    /// Amplitude of each corner's movement around its position, px.
     pub sway_px: f64,
-    /// Frames of one sway.
+    /// Period of the movement, frames.
     pub sway_frames: f64,
     /// Exposure of the right view relative to the left one.
     pub right_exposure: f32,
@@ -47,21 +49,21 @@ impl Default for CutParams {
     }
 }
 
-/// Why a picture cannot be cut.
+/// An image that cannot be cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CutError {
-    /// The picture is too small for the margins.
+    /// The image is too small for the margins.
     TooSmall {
-        /// Columns of the picture.
+        /// Columns of the image.
         width: usize,
-        /// Rows of the picture.
+        /// Rows of the image.
         height: usize,
-        /// What perspective and sway take from each side.
+        /// Margin for perspective and movement at each side.
         margin_px: usize,
     },
-    /// A picture is not BGR, or an output has the wrong size.
+    /// An image is not BGR, or an output has the wrong size.
     Picture {
-        /// The picture, as the message names it.
+        /// The image, as the message names it.
         which: &'static str,
         /// Columns wanted.
         width: usize,
@@ -89,15 +91,15 @@ impl std::error::Error for CutError {}
 pub struct CutGeometry {
     /// Columns and rows of each view.
     pub size: (usize, usize),
-    /// Column and row of the picture at which the left view begins.
+    /// Column and row of the image at which the left view begins.
     pub left_at: (usize, usize),
-    /// Maps pixels of the right view to pixels of the picture.
+    /// Maps pixels of the right view to pixels of the image.
     pub picture_from_right: Homography,
     /// Maps pixels of the right view to those of the left view.
     pub left_from_right: Homography,
 }
 
-/// The views of frame `frame` of a picture of this size.
+/// The views of frame `frame` of an image of this size.
 ///
 /// # Errors
 /// When too little is left.
@@ -127,10 +129,10 @@ pub fn geometry(params: &CutParams, size: (usize, usize), frame: u64) -> Result<
     Ok(CutGeometry { size: (view, height), left_at, picture_from_right, left_from_right })
 }
 
-/// Draws both views of a frame; `geometry` is what [`geometry`] gave for the picture's size.
+/// Draws both views of a frame; `geometry` is what [`geometry`] gave for the image's size.
 ///
 /// # Errors
-/// When a picture is not BGR or has another size.
+/// When an image is not BGR or has another size.
 pub fn draw(
     params: &CutParams,
     geometry: &CutGeometry,

@@ -1,18 +1,19 @@
 //! A plane through disparities: the registration of views that share too little for a homography of eight parameters.
 //!
-//! In rectified views a plane in space has the disparity `d = x_slope * x + y_slope * y + offset`. Three parameters stay well
-//! determined on a strip some tens of pixels wide, where the other five of a homography do not, and extrapolate without folding.
+//! In rectified views a plane in space has the disparity `d = x_slope * x + y_slope * y + offset`. Three parameters
+//! stay well determined on a strip some tens of pixels wide, where the other five of a homography do not, and
+//! extrapolate without folding.
 
 use crate::geometry::Point;
 use panoscope_base::random::SplitMix64;
 
 /// Number of samples of three points.
 const SAMPLES: usize = 256;
-/// Slopes beyond this are wrong matches: tissue that turns away so steeply is not seen by both cameras.
+/// Maximum slope; tissue with a steeper one is not visible to both cameras, so larger slopes are wrong matches.
 const MAX_SLOPE: f64 = 0.5;
 /// Samples whose points span less area than this, in px^2, do not determine the slopes.
 const MIN_AREA_PX2: f64 = 50.0;
-/// Prior on a plane that does not turn about the vertical axis: standard deviation of `x_slope`. The overlap of two
+/// Prior for a plane without rotation about the vertical axis: standard deviation of `x_slope`. The overlap of two
 /// views side by side is narrow in x, so that noise alone would tilt the plane.
 const X_SLOPE_DEVIATION: f64 = 0.1;
 /// Rounds of the reweighted fit.
@@ -27,14 +28,14 @@ pub struct Sample {
     pub disparity_px: f64,
 }
 
-/// Disparity of a plane in space, as the left rectified view sees it.
+/// Disparity of a plane in space, in the left rectified view.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DisparityPlane {
     /// Change of the disparity per column.
     pub x_slope: f64,
     /// Change of the disparity per row.
     pub y_slope: f64,
-    /// Disparity at the picture's corner, px.
+    /// Disparity at the image's corner, px.
     pub offset_px: f64,
 }
 
@@ -50,8 +51,8 @@ impl DisparityPlane {
         [(x + self.y_slope * y + self.offset_px) / (1.0 - self.x_slope), y]
     }
 
-    /// The plane that most samples agree on to within `threshold_px`, refitted on all of them; `None` when fewer than `least`
-    /// agree. The same samples and seed give the same plane.
+    /// The plane that most samples agree on to within `threshold_px`, refitted on all of them; `None` if fewer than
+    /// `least` agree. The same samples and seed give the same plane.
     pub fn fit(samples: &[Sample], threshold_px: f64, least: usize, seed: u64) -> Option<Self> {
         let least = least.max(3);
         if samples.len() < least {

@@ -1,4 +1,4 @@
-//! What a panorama of one or two views shows before its seam is blended, for those who draw it elsewhere than on the processor.
+//! Description of a panorama of one or two views before its seam is blended, for drawing on other devices.
 
 use super::blend::Ranges;
 use super::mesh::{Lattice, MeshGrid};
@@ -8,32 +8,31 @@ use crate::{Parallel, Rect, View, ViewMut};
 
 /// Draws the pixels of a panorama, for instance on a GPU.
 pub trait Painter: std::fmt::Debug + Send {
-    /// Draws all pixels of `out`, black where no view lies.
+    /// Draws all pixels of `out`, black outside all views.
     ///
-    /// # Errors
-    /// What went wrong. The processor then draws the frame, whatever `out` holds.
+    /// # Errors The drawing failed. The processor then draws the whole frame.
     fn paint(&mut self, drawing: &Drawing<'_>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) -> Result<(), String>;
 }
 
 /// The views of a panorama, and which of them each of its pixels shows.
 #[derive(Debug)]
 pub struct Drawing<'a> {
-    /// One or two.
+    /// One or two views.
     pub views: &'a [DrawnView<'a>],
     /// Which view each pixel shows.
     pub runs: &'a Runs,
 }
 
-/// A view, and how it lies on the canvas.
+/// A view and its placement on the canvas.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnView<'a> {
     /// Its pixels, BGR.
     pub view: View<'a, u8>,
-    /// Matrix from canvas pixels to those of the view, row by row; its third row is positive where the view lies.
+    /// Matrix from canvas pixels to those of the view, row by row; its third row is positive inside the view.
     pub source_from_canvas: [f64; 9],
-    /// Drawn by a mesh instead of the matrix.
+    /// Mesh that replaces the matrix.
     pub mesh: Option<DrawnMesh<'a>>,
-    /// Columns and rows to add to a canvas position, where that is all.
+    /// Columns and rows to add to a canvas position, if the view is only shifted.
     pub shift: Option<(i64, i64)>,
     /// Part of the canvas in which a view that is shifted elsewhere is drawn by its mesh.
     pub moved: Option<Rect>,
@@ -41,7 +40,7 @@ pub struct DrawnView<'a> {
     pub gain: [i16; 4],
 }
 
-/// A mesh as [`Mesh`](super::Mesh) has it.
+/// Content of a [`Mesh`](super::Mesh).
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnMesh<'a> {
     /// Places of its vertices on the reference plane.
@@ -66,12 +65,13 @@ pub struct Runs {
 }
 
 impl Runs {
-    /// Number of the first run of each row, and the number of all runs behind the last.
+    /// Number of the first run of each row, and, after the last, the number of all runs.
     pub fn starts(&self) -> &[u32] {
         &self.starts
     }
 
-    /// One past the last column of each run, and its view: 0 none, 1 the first, 2 the second. The runs of a row follow one another without gaps.
+    /// One past the last column of each run, and its view: 0 none, 1 the first, 2 the second. The runs of a row follow
+    /// one another without gaps.
     pub fn list(&self) -> &[(u32, u8)] {
         &self.list
     }
@@ -82,7 +82,8 @@ impl Runs {
         own.iter().scan(0, |start, (end, view)| Some((std::mem::replace(start, *end) as usize, *end as usize, *view)))
     }
 
-    /// Where the first view lies; and over it the second view where it alone is shown, outside the columns that are blended.
+    /// Builds the runs: the first view, and over it the second view where it alone is shown, outside the blended
+    /// columns.
     pub(super) fn build(
         &mut self,
         (width, height): (usize, usize),
@@ -122,7 +123,7 @@ impl Runs {
         }
     }
 
-    /// Lengthens row `y`, the last one, up to column `end`, which may be behind its end already.
+    /// Lengthens row `y`, the last one, up to column `end`, which may be before its current end.
     fn push(&mut self, end: u32, shows: u8, y: usize) {
         let first = self.starts[y] as usize;
         let begun = if self.list.len() > first { self.list[self.list.len() - 1].0 } else { 0 };

@@ -1,8 +1,8 @@
-//! Quality of a panorama by comparison with the truth.
+//! Quality of a panorama by comparison with ground truth.
 //!
-//! Structural similarity after Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, "Image quality assessment", IEEE TIP 13 (2004),
-//! with square windows. Panorama and truth may differ by one gain, which is taken out first: which view's exposure a
-//! composite settles on is its own choice.
+//! Structural similarity after Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, "Image quality assessment", IEEE TIP 13
+//! (2004), with square windows. Panorama and ground truth may differ by one gain, which is removed first, because a
+//! composite may use the exposure of either view.
 
 use crate::View;
 use crate::geometry::{Homography, Point};
@@ -12,7 +12,7 @@ const WINDOW: usize = 8;
 /// Distance between windows, px.
 const STRIDE: usize = 4;
 
-/// A gray picture of floats, row after row.
+/// A gray image of floats, row after row.
 #[derive(Clone, Debug, Default)]
 pub struct Gray {
     /// Levels 0..=255.
@@ -24,7 +24,7 @@ pub struct Gray {
 }
 
 impl Gray {
-    /// Luma of a BGR picture.
+    /// Luma of a BGR image.
     pub fn of_bgr(view: View<'_, u8>) -> Self {
         let mut data = Vec::with_capacity(view.width * view.height);
         for y in 0..view.height {
@@ -35,7 +35,7 @@ impl Gray {
     }
 }
 
-/// RegionSimilarity of two pictures inside a region.
+/// Similarity of two images inside a region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegionSimilarity {
     /// Peak signal-to-noise ratio, dB.
@@ -149,14 +149,15 @@ pub fn overlap(
     region
 }
 
-/// True correspondences of a view beside the left one with a parallel axis.
+/// True correspondences of a view next to the left one with a parallel axis.
 #[derive(Clone, Copy, Debug)]
 pub struct TruePairs<'a> {
     /// Disparity of the left view, px; NaN where it is unknown.
     pub disparity: View<'a, f32>,
-    /// 255 where the other view sees the same point; without it all that lies in its frame counts.
+    /// 255 where the other view sees the same point; without it all points inside its frame count.
     pub visible: Option<View<'a, u8>>,
-    /// Where the other camera stands, in units of the baseline: the point at `(u, v)` lies at `(u, v) - disparity * along` there.
+    /// Position of the other camera, in units of the baseline: the point at `(u, v)` is at `(u, v) - disparity * along`
+    /// in its view.
     pub along: [f64; 2],
     /// Spacing of the compared pixels.
     pub step: usize,
@@ -187,8 +188,8 @@ impl TruePairs<'_> {
         rows.flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y))).filter_map(|(x, y)| self.at(x, y))
     }
 
-    /// Root mean square distance between mapped and true positions of the points that both views see, px of the left view, and how
-    /// many there are; `None` when there are none.
+    /// Root mean square distance between mapped and true positions of the points that both views see, px of the left
+    /// view, and how many there are; `None` when there are none.
     pub fn alignment(&self, left_from_other: &Homography) -> Option<(f64, usize)> {
         let (mut squares, mut count) = (0.0, 0usize);
         for (other, left) in self.iter() {
@@ -198,8 +199,8 @@ impl TruePairs<'_> {
         (count > 0).then(|| ((squares / count as f64).sqrt(), count))
     }
 
-    /// What parallax leaves to any homography: the alignment of the one that fits the true pairs best. `None` for fewer than four
-    /// pairs in general position.
+    /// Lower bound of the alignment of any homography under parallax: that of the best fit to the true pairs. `None`
+    /// for fewer than four pairs in general position.
     pub fn floor_px(&self) -> Option<f64> {
         let (from, to): (Vec<Point>, Vec<Point>) = self.iter().unzip();
         let best = Homography::fit(&from, &to, |_| true)?.refine(&from, &to, |_| true, 20);

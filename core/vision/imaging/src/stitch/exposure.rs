@@ -1,26 +1,26 @@
-//! Gains that even out exposure and white balance between views, steady in time.
+//! Gains that equalise exposure and white balance between views, stable over time.
 //!
-//! Views of a resting scene differ by sensor noise from frame to frame. A gain that followed it would make the picture flicker, so a
-//! running gain rests until the measured one has left a dead band. Gains of colour channels say nothing between a view in colour and
-//! one in gray: they would tint one of them. Such a pair is matched in light only.
+//! Views of a static scene differ by sensor noise from frame to frame. A gain that followed it would make the image
+//! flicker, so the gain is constant until the measured one leaves a dead band. Gains of colour channels between a view
+//! in colour and one in gray would tint one of them, so such a pair is matched in brightness only.
 
 use super::params::{CompositeParams, ExposureMethod};
 
 /// Luma weights of B, G, R in 1/256 (ITU-R BT.601).
 const LUMA: [u64; 3] = [29, 150, 77];
-/// Shares of samples without colour below which a view counts as one in colour, and from which on as one in gray. Between them both gains are mixed, so
-/// that the decision does not flip.
+/// Shares of samples without colour below which a view counts as one in colour, and above which as one in gray. Between
+/// them both gains are mixed, so that the decision does not flicker.
 const GRAY_SHARE: [f32; 2] = [0.8, 0.95];
-/// Largest spread of the channels of a sample without colour: this many levels and this share of the brightest channel. Covers what JPEG and video
-/// codecs do to gray.
+/// Largest spread of the channels of a sample without colour: this many levels and this share of the brightest channel.
+/// Covers what JPEG and video codecs do to gray.
 const NEUTRAL_LEVELS: u8 = 4;
 const NEUTRAL_PART: u8 = 32;
 /// Fewest samples that a gain is measured on.
 const MIN_SAMPLES: u64 = 16;
-/// Relative error of a running gain at which it starts to follow the measured one, and at which it rests again.
+/// Relative error of a running gain at which it starts and stops following the measured one.
 const DEAD_BAND: [f32; 2] = [0.008, 0.002];
 
-/// Sums over samples of the overlap, of the pictures joined so far and of the new view.
+/// Sums over samples of the overlap, of the images joined so far and of the new view.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OverlapLight {
     base: [u64; 3],
@@ -39,7 +39,7 @@ fn is_neutral(p: [u8; 4]) -> bool {
 }
 
 impl OverlapLight {
-    /// Adds a sample that both show, B, G, R. Dark and saturated ones do not count.
+    /// Adds a sample that both show, B, G, R. Dark and saturated ones are ignored.
     pub fn add(&mut self, base: [u8; 4], new: [u8; 4]) {
         if !(is_usable(base) && is_usable(new)) {
             return;
@@ -53,13 +53,14 @@ impl OverlapLight {
         self.neutral[1] += u64::from(is_neutral(new));
     }
 
-    /// How sure it is that one of both is gray, 0..=1.
+    /// Confidence that one of them is gray, 0..=1.
     fn grayness(&self) -> f32 {
         let share = self.neutral[0].max(self.neutral[1]) as f32 / self.count as f32;
         ((share - GRAY_SHARE[0]) / (GRAY_SHARE[1] - GRAY_SHARE[0])).clamp(0.0, 1.0)
     }
 
-    /// Gain of the new view that brings its mean to that of the pictures joined so far, B, G, R; `None` when too few samples count.
+    /// Gain of the new view that brings its mean to that of the images joined so far, B, G, R; `None` when too few
+    /// samples count.
     pub fn gain(&self, method: ExposureMethod) -> Option<[f32; 3]> {
         if self.count < MIN_SAMPLES {
             return None;
@@ -83,14 +84,14 @@ impl OverlapLight {
 /// The gain of a view over time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RunningGain {
-    /// A gain has been measured.
+    /// Whether a gain has been measured.
     is_known: bool,
-    /// The gain follows the measured one.
+    /// Whether the gain follows the measured one.
     follows: bool,
 }
 
 impl RunningGain {
-    /// Moves `gain` towards the measured one, unless it differs by less than noise does.
+    /// Moves `gain` towards the measured one, unless the difference is within noise.
     pub fn update(&mut self, gain: &mut [f32; 3], measured: [f32; 3], params: &CompositeParams) {
         let rate = params.exposure_rate.clamp(0.0, 1.0);
         if !self.is_known || rate >= 1.0 {
@@ -124,7 +125,7 @@ mod tests {
         [shoot(&IDENTITY, SIZE.0, SIZE.1, 1.0), shoot(&tilted(), SIZE.0, SIZE.1, 1.0)]
     }
 
-    /// The view as a camera without colour sees it, `noise` levels wrong in each channel.
+    /// The view of a camera without colour, `noise` levels wrong in each channel.
     fn gray(view: &[u8], gain: f64, noise: u8) -> Vec<u8> {
         let levels = view
             .as_chunks::<3>()

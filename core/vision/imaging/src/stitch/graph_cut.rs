@@ -11,7 +11,8 @@ const SINK: u8 = 2;
 
 /// Minimum cut of a `width` x `height` grid; capacities are whole numbers, so the result is exact.
 ///
-/// Set capacities with [`GridCut::reset`], [`GridCut::add_terminal`] and [`GridCut::add_edge`], then [`GridCut::solve`].
+/// Set capacities with [`GridCut::reset`], [`GridCut::add_terminal`] and [`GridCut::add_edge`], then
+/// [`GridCut::solve`].
 #[derive(Debug, Default)]
 pub struct GridCut {
     width: usize,
@@ -86,7 +87,7 @@ impl GridCut {
         self.terminal[node] = s - t;
     }
 
-    /// Adds what it costs to part `node` from its right (`down == false`) or lower neighbour, the same both ways.
+    /// Adds the cost of separating `node` from its right (`down == false`) or lower neighbour, the same both ways.
     pub fn add_edge(&mut self, node: usize, down: bool, capacity: i32) {
         let (direction, back, other) = if down { (1, 3, node + self.width) } else { (0, 2, node + 1) };
         self.residual[direction][node] += capacity.max(0);
@@ -127,7 +128,7 @@ impl GridCut {
         self.flow
     }
 
-    /// True when `node` ended on the sink's side. Nodes that either side may have go to the source's side.
+    /// True when `node` ended on the sink's side. Undetermined nodes go to the source's side.
     pub fn is_sink(&self, node: usize) -> bool {
         self.tree[node] == SINK
     }

@@ -1,8 +1,8 @@
 //! Homography from a disparity map (thesis, chapter 4): smooth tissue has no features, but it has depth.
 //!
-//! A grid is laid on the overlap of the left rectified view. Each cell gives one point `P` with valid disparity `d`; its
-//! partner in the right rectified view is `Q = P - (d, 0)`. Both are carried back to the cameras' own pictures, and RANSAC
-//! finds the homography between them. Algorithm 2 of that chapter keeps it still.
+//! A grid covers the overlap of the left rectified view. Each cell gives one point `P` with valid disparity `d`; its
+//! partner in the right rectified view is `Q = P - (d, 0)`. Both are mapped back to the cameras' original images, and
+//! RANSAC finds the homography between them. Algorithm 2 of that chapter stabilises it.
 
 use super::coarse::{enlarged, map_factor};
 use super::disparity_plane::{DisparityPlane, Sample};
@@ -15,44 +15,45 @@ use crate::geometry::{
     overlap_rois, rms_of,
 };
 
-/// Which disparity a grid cell gives.
+/// Choice of a grid cell's point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CellPoint {
     /// The valid pixel with the largest disparity: the nearest tissue, the peak of chapter 4.
     Peak,
-    /// The middle of the cell, with the median of its disparities: no outlier of the matching gets through.
+    /// The middle of the cell, with the median of its disparities: robust to outliers of the matching.
     #[default]
     Median,
 }
 
-/// Parameters of [`RegisterGrid`]. Lengths are in pixels of the pictures, also where the disparity map is smaller.
+/// Parameters of [`RegisterGrid`]. Lengths are in pixels of the images, even if the disparity map is smaller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridParams {
     /// Rows of the grid (9 in chapter 4).
     pub rows: usize,
     /// Columns of the grid (24).
     pub columns: usize,
-    /// What each cell gives.
+    /// Point of each cell.
     pub point: CellPoint,
     /// Spacing of the pixels of a cell that are used.
     pub step_px: usize,
     /// Share of a cell's used pixels that must have a disparity.
     pub min_valid: f32,
-    /// Robust estimation; the threshold is in pixels of the left picture.
+    /// Robust estimation; the threshold is in pixels of the left image.
     pub ransac: RansacParams,
     /// Inliers below which a homography is rejected; at least 4.
     pub min_inliers: usize,
-    /// What a warped frame may look like.
+    /// Plausibility limits of a warped frame.
     pub plausibility: Plausibility,
-    /// The homography stays while its median error on the new inliers is below this, in pixels; 0: refit every frame.
+    /// The homography is kept while its median error on the new inliers is below this, in pixels; 0: refit every frame.
     pub stability_px: f64,
-    /// It also stays while it explains the pairs worse by no more than this share.
+    /// It is also kept while its error on the pairs is larger by at most this share.
     pub still_tolerance: f64,
-    /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the inliers alone.
+    /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the
+    /// inliers alone.
     pub anchor_fit: f64,
     /// Rms error of the inliers, px, above which a homography is rejected; 0 accepts all.
     pub max_rms_px: f64,
-    /// Failed frames in a row for which the homography before still counts as held.
+    /// Failed frames in a row for which the previous homography counts as held.
     pub hold_frames: usize,
 }
 
@@ -79,7 +80,7 @@ impl Default for GridParams {
 /// Result for one disparity map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GridRegistration {
-    /// Maps right-picture pixels to left-picture pixels; the last good one when held or lost, the identity before any.
+    /// Maps right-image pixels to left-image pixels; the last good one when held or lost, the identity before any.
     pub left_from_right: Homography,
     /// Fresh, held or lost.
     pub state: RegistrationState,
@@ -87,13 +88,13 @@ pub struct GridRegistration {
     pub points: usize,
     /// Points that agree with the homography; 0 unless fresh.
     pub inliers: usize,
-    /// Root mean square reprojection error of the inliers in the left picture, px; 0 unless fresh.
+    /// Root mean square reprojection error of the inliers in the left image, px; 0 unless fresh.
     pub rms_px: f64,
     /// The error for which this map's homography was rejected, px.
     pub refused_rms_px: Option<f64>,
-    /// Overlap in the left picture; the whole picture unless fresh.
+    /// Overlap in the left image; the whole image unless fresh.
     pub roi_left: Rect,
-    /// Overlap in the right picture.
+    /// Overlap in the right image.
     pub roi_right: Rect,
     /// Whether the homography is the previous frame's, kept by the stability test.
     pub kept: bool,
@@ -114,7 +115,7 @@ impl GridParams {
 }
 
 impl GridRegistration {
-    /// The same in pixels of pictures of these sizes, which are larger by a factor.
+    /// The same in pixels of images of these sizes, which are larger by a factor.
     fn enlarged(self, factor: usize, [left, right]: [(usize, usize); 2]) -> Self {
         let whole = |small: &Rect, (width, height): (usize, usize)| {
             Rect::new(small.x * factor, small.y * factor, small.width * factor, small.height * factor)
@@ -135,9 +136,9 @@ impl GridRegistration {
 #[derive(Clone, Debug, Default)]
 pub struct RegisterGrid {
     params: GridParams,
-    /// By how much the last map was smaller than the pictures; 0 before the first.
+    /// By how much the last map was smaller than the images; 0 before the first.
     factor: usize,
-    /// The parameters in pixels of that map, as all that follows.
+    /// The parameters in pixels of that map; so are all later fields.
     scaled: GridParams,
     ransac: Ransac,
     from: Vec<Point>,
@@ -149,17 +150,17 @@ pub struct RegisterGrid {
     stability: Stability,
     memory: Option<Homography>,
     failures: usize,
-    /// The overlap is too narrow for a homography of eight parameters.
+    /// Whether the overlap is too narrow for a homography of eight parameters.
     is_narrow: bool,
 }
 
-/// Pairs each way that carry a plane over to pictures that are not rectified.
+/// Pairs per direction that transfer a plane to images that are not rectified.
 const PLANE_PAIRS: usize = 5;
-/// Samples further off a plane than this do not belong to it, whatever a homography is allowed.
+/// Maximum distance of a sample from its plane, independent of the homography's threshold.
 const MAX_PLANE_PX: f64 = 4.0;
-/// An overlap of less than this part of a side is narrow.
+/// An overlap of less than a side divided by this is narrow.
 const NARROW_PART: usize = 3;
-/// Pixels of a cell that are read, about; more are spaced further apart.
+/// Approximate maximum number of pixels read per cell.
 const MAX_CELL_PIXELS: usize = 300;
 /// Smallest number of columns used per cell.
 const MIN_CELL_STEPS: usize = 2;
@@ -208,8 +209,8 @@ impl RegisterGrid {
         self.failures = 0;
     }
 
-    /// Registers by one disparity map: px of the left rectified view, NaN where unmatched. The map has the size of the pictures, or is smaller by a
-    /// whole factor, see [`map_factor`].
+    /// Registers by one disparity map: px of the left rectified view, NaN where unmatched. The map has the size of the
+    /// images, or is smaller by a whole factor, see [`map_factor`].
     ///
     /// A failure is a state, not an error: the next frame searches the whole map.
     pub fn register(
@@ -232,7 +233,7 @@ impl RegisterGrid {
         found.enlarged(factor, [left.size, right.size])
     }
 
-    /// Registers by a map as large as the pictures.
+    /// Registers by a map as large as the images.
     fn register_map(
         &mut self,
         disparity: View<'_, f32>,
@@ -290,7 +291,7 @@ impl RegisterGrid {
         }
     }
 
-    /// No homography from this map: the previous one is held, for some frames.
+    /// Handles a map without a homography: the previous one is held for some frames.
     fn failed(&mut self, mut result: GridRegistration) -> GridRegistration {
         self.failures += 1;
         if self.memory.is_some() && self.failures <= self.scaled.hold_frames {
@@ -328,7 +329,8 @@ impl RegisterGrid {
         Some(RansacFit { homography, inliers, rms_px, iterations: 0 })
     }
 
-    /// The part of the left rectified view that both views share, by its disparities alone: where `x - d` lies in the right view.
+    /// The part of the left rectified view that both views share, by its disparities alone: where `x - d` lies in the
+    /// right view.
     fn shared_area(&mut self, disparity: View<'_, f32>, step: usize) -> Rect {
         let (width, height) = (disparity.width, disparity.height);
         for (counts, length) in self.counts.iter_mut().zip([width, height]) {

@@ -1,4 +1,5 @@
-//! One panorama beside the picture of a wide camera, and one registration beside correspondences: what judges of a composite share.
+//! Compares a panorama with the image of a wide camera, and a registration with correspondences, for evaluations of
+//! composites.
 
 use super::correspond::{CorrespondParams, correspondences};
 use super::evaluate::{Gray, RegionSimilarity, likeness, overlap, seam_band};
@@ -6,19 +7,19 @@ use super::placement::{Placement, ghost_pct};
 use crate::geometry::{Homography, Point, Ransac, RansacParams};
 use crate::{Parallel, View};
 
-/// Correspondences by correlation that lie further from every plane are mistakes, px.
+/// Maximum distance of a correct correspondence from every plane, px.
 const CORRELATED_REACH_PX: f64 = 12.0;
-/// What the truth shows within this many pixels may be shown along the seam.
+/// Radius in which the ground truth may contain the content shown along the seam, pixels.
 const GHOST_REACH_PX: usize = 2;
-/// Differences below this are noise and shading.
+/// Differences below this count as noise and shading, levels.
 const GHOST_LEVELS: f32 = 16.0;
 
-/// A placement beside correspondences that correlation finds; NaN where there are too few.
+/// Comparison of a placement with correspondences found by correlation; NaN if there are too few.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CorrelatedMarks {
     /// Root mean square distance of the placement from them, px of the left view.
     pub align_px: f64,
-    /// The same of the plane that fits them best: tissue is no plane.
+    /// Root mean square distance of the best-fitting plane, because tissue is not planar.
     pub floor_px: f64,
     /// Number of correspondences.
     pub points: usize,
@@ -47,38 +48,38 @@ pub fn correlated(placed: &Placement, left: View<'_, u8>, right: View<'_, u8>, p
     }
 }
 
-/// A panorama as a composite draws it.
+/// A panorama drawn by a composite.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnPanorama<'a> {
-    /// The picture, BGR.
+    /// The image, BGR.
     pub picture: View<'a, u8>,
     /// Column and row at which the left view begins in it.
     pub left_at: (i32, i32),
-    /// View that each pixel shows: 0 none, 1 the left one. Compared only where it has the picture's size.
+    /// View that each pixel shows: 0 none, 1 the left one. Compared only if it has the image's size.
     pub shown: Option<View<'a, u8>>,
 }
 
-/// Picture of one wide camera at the left camera's position.
+/// Image of one wide camera at the left camera's position.
 #[derive(Clone, Copy, Debug)]
 pub struct WideTruth<'a> {
-    /// The picture, BGR.
+    /// The image, BGR.
     pub picture: View<'a, u8>,
     /// Column and row at which the left view begins in it.
     pub left_at: (i32, i32),
 }
 
-/// Comparison of a panorama with the wide truth; `None` where there is nothing to compare.
+/// Comparison of a panorama with the wide ground truth; `None` if there is nothing to compare.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PictureMarks {
     /// In the overlap of both views.
     pub whole: Option<RegionSimilarity>,
     /// Along the seam.
     pub seam: Option<RegionSimilarity>,
-    /// Share of the band along the seam that shows what is nowhere near in the truth, percent.
+    /// Share of the band along the seam whose content is not nearby in the ground truth, percent.
     pub ghost_pct: Option<f64>,
 }
 
-/// The part of the wide truth under the panorama; false in the mask where there is none.
+/// The part of the wide ground truth under the panorama; false in the mask outside it.
 fn truth_on_canvas(wide: &WideTruth<'_>, left_at: (i32, i32), size: (usize, usize)) -> (Gray, Vec<bool>) {
     let all = Gray::of_bgr(wide.picture);
     let mut out = Gray { data: vec![0.0; size.0 * size.1], width: size.0, height: size.1 };
@@ -100,7 +101,8 @@ fn truth_on_canvas(wide: &WideTruth<'_>, left_at: (i32, i32), size: (usize, usiz
     (out, known)
 }
 
-/// Compares a panorama with the wide truth in the overlap of two views of these sizes, and within `band_px` of the seam there.
+/// Compares a panorama with the wide ground truth in the overlap of two views of these sizes, and within `band_px` of
+/// the seam there.
 pub fn compare_pictures(
     panorama: &DrawnPanorama<'_>,
     wide: &WideTruth<'_>,

@@ -1,13 +1,14 @@
-//! Cuts what a view covers on the canvas down to its lit part, so that rims are neither shown nor blended, and no seam runs along them.
+//! Restricts the canvas area of a view to its lit part, so that rims are neither shown nor blended, and no seam runs
+//! along them.
 
 use super::mesh::Mapping;
 use super::warp::{BLOCK, Block, Span};
 use crate::lit::LitPart;
 
-/// Columns on each side of an end of the row before in which the end of a row is looked for first.
+/// Columns on each side of an end of the row before in which the end of a row is searched first.
 const NEAR: u32 = 16;
 
-/// Finds where canvas rows are lit.
+/// Finds the lit columns of canvas rows.
 struct Rows<'a> {
     mapping: Mapping<'a>,
     lit: &'a LitPart,
@@ -64,7 +65,8 @@ struct Look {
     lit: [bool; 2],
 }
 
-/// Cuts `spans`, one for each row from `rows.start` on to `rows.end`, which `mapping` maps to a view of which `lit` is lit.
+/// Cuts `spans`, one for each row from `rows.start` on to `rows.end`, which `mapping` maps to a view of which `lit` is
+/// lit.
 pub fn cut(mapping: Mapping, lit: &LitPart, rows: std::ops::Range<usize>, spans: &mut [Span], avx2: bool) {
     let mut finder = Rows { mapping, lit, block: Block::default(), avx2 };
     let mut before = Span::default();
@@ -76,11 +78,11 @@ pub fn cut(mapping: Mapping, lit: &LitPart, rows: std::ops::Range<usize>, spans:
     }
 }
 
-/// How much more one side must show than the other before the new view changes to it: equal ones would flip.
+/// Minimum lead of one side over the other, in percent, before the new view changes sides; prevents flickering.
 const CLEARLY_MORE: i64 = 125;
 
-/// Whether the new view is shown to the left of the pictures so far, or to the right. The side of the picture before is kept unless the other one shows
-/// clearly more.
+/// Whether the new view is shown to the left of the images so far, or to the right. The previous frame's side is kept
+/// unless the other one shows clearly more.
 pub fn reaches_left(base: &[Span], new: &[Span], was_left: bool) -> bool {
     let (mut left, mut right) = (0, 0);
     for (base, new) in base.iter().zip(new).filter(|(base, new)| !base.is_empty() && !new.is_empty()) {
@@ -90,8 +92,8 @@ pub fn reaches_left(base: &[Span], new: &[Span], was_left: bool) -> bool {
     if was_left { 100 * right <= CLEARLY_MORE * left } else { 100 * left > CLEARLY_MORE * right }
 }
 
-/// Cuts off what of the new view lies beside the pictures so far on the side where it shows less. A seam passes from one view to the other once: on that
-/// side it would end at a rim.
+/// Removes the part of the new view outside the previous images on the side where it shows less, because the seam would
+/// end at a rim there.
 pub fn cut_beyond(base: &[Span], new: &mut [Span], is_left: bool) {
     for (base, new) in base.iter().zip(new).filter(|(base, _)| !base.is_empty()) {
         if is_left {

@@ -1,8 +1,8 @@
 //! Stitching: warp, exposure, seam, blend, canvas.
 //!
 //! [`Compositor`] joins two or more views whose homographies are known (thesis chapter 2.2 and 2.3.2): the reference
-//! view is copied, the others are warped, exposure is evened out in the overlap, a seam is found on the shrunken overlap
-//! and held from frame to frame, and the pictures are blended in a zone around the seam only.
+//! view is copied, the others are warped, exposure is evened out in the overlap, a seam is found on the shrunken
+//! overlap and held from frame to frame, and the images are blended in a zone around the seam only.
 
 mod blend;
 mod border;

@@ -17,15 +17,15 @@ use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 /// Canvas rows per chunk.
 const ROWS: usize = 16;
 
-/// All views on the canvas, and what joins them: geometry, seams, gains, work memory.
+/// All views on the canvas, and the data that joins them: geometry, seams, gains, work memory.
 #[derive(Debug, Default)]
 pub(super) struct Layers {
     pub(super) warps: Vec<Warp>,
-    /// Meshes that views are drawn by; empty ones stand for none.
+    /// Meshes that views are drawn by; empty if there is none.
     pub(super) meshes: [Mesh; MAX_VIEWS],
-    /// What of the views is lit; `None` stands for all.
+    /// Lit parts of the views; `None` for all.
     pub(super) lit: [Option<LitPart>; MAX_VIEWS],
-    /// The second of two views is shown to the left of the first, not to the right.
+    /// Whether the second of two views is shown to the left of the first.
     pub(super) is_left: bool,
     /// Columns that a view covers, by view and canvas row.
     pub(super) spans: Vec<Vec<Span>>,
@@ -50,7 +50,7 @@ pub(super) struct Warp {
     pub(super) shift: Option<(i64, i64)>,
     /// Canvas rectangle in which the mesh of the reference view moves it.
     pub(super) moved: Option<Rect>,
-    /// Columns of each canvas row in which it does; of use where `moved` is.
+    /// Columns of each canvas row in which the mesh moves the view; valid if `moved` is set.
     pub(super) moved_spans: Vec<Span>,
     /// Positions of the first canvas pixel and of the first tap on the reference plane, px.
     pub(super) origins: [[f32; 2]; 2],
@@ -60,7 +60,7 @@ pub(super) struct Warp {
 }
 
 impl Warp {
-    /// From canvas pixels to those of the view: by the mesh where there is one.
+    /// Mapping from canvas pixels to those of the view: by the mesh if there is one.
     pub(super) fn mapping<'a>(&'a self, mesh: Option<&'a Mesh>) -> Mapping<'a> {
         match mesh {
             Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: self.origins[0], step: 1.0 }),
@@ -69,7 +69,7 @@ impl Warp {
     }
 }
 
-/// Work of joining one view to those before it.
+/// State for joining one view to the previous ones.
 #[derive(Debug, Default)]
 pub(super) struct Step {
     pub(super) seam: Seam,
@@ -89,13 +89,13 @@ impl Layers {
         }
     }
 
-    /// Takes all views as equally bright until measured again.
+    /// Resets all gains to 1 until they are measured again.
     pub(super) fn forget_gains(&mut self) {
         self.gains = [[1.0; 3]; MAX_VIEWS];
         self.running = [RunningGain::default(); MAX_VIEWS];
     }
 
-    /// Samples the views, brings gains and seams up to date. Gives whether a seam was found anew, and the cost along it.
+    /// Samples the views and updates gains and seams. Returns whether a seam was recomputed, and the cost along it.
     pub(super) fn plan(
         &mut self,
         params: &CompositeParams,
@@ -152,7 +152,7 @@ impl Layers {
         (found_any, worst_cost)
     }
 
-    /// Lets `painter` draw one or two views up to their blending.
+    /// Lets `painter` draw one or two views except for their blending.
     fn hand_over(
         &mut self,
         views: &[View<u8>],
@@ -177,7 +177,7 @@ impl Layers {
     /// Draws all views; with a painter, one or two, only their blending, after the painter has drawn the rest.
     ///
     /// # Errors
-    /// Those of the painter.
+    /// Errors of the painter.
     pub(super) fn paint(
         &mut self,
         params: &CompositeParams,
@@ -280,7 +280,7 @@ impl Layers {
         Ok(())
     }
 
-    /// Draws 255 where a view lies.
+    /// Draws 255 inside views.
     pub(super) fn paint_mask(&self, mask: &mut ViewMut<u8>, pool: &dyn Parallel) {
         let (width, height, stride) = (mask.width, mask.height, mask.stride);
         let target = SharedMut::new(&mut *mask.data);
@@ -312,7 +312,7 @@ fn reach_of(levels: usize) -> usize {
     2 * ((1 << levels) - 1) + (3 << levels) / 2
 }
 
-/// Narrows the zone row by row to what lies near the seam.
+/// Narrows the zone row by row to the vicinity of the seam.
 fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Rect, levels: usize, scale: usize) {
     let reach = reach_of(levels);
     ranges.set(z.width, z.height, |first, end| {
@@ -342,7 +342,7 @@ struct Source<'a> {
     view: View<'a, u8>,
     source_from_canvas: Mapping<'a>,
     shift: Option<(i64, i64)>,
-    /// Where the view is sampled although it is only shifted elsewhere: bounds, and columns of each canvas row.
+    /// Region in which a view that is otherwise only shifted is sampled: bounds, and columns of each canvas row.
     moved: Option<(Rect, &'a [Span])>,
     gain: [i16; 4],
     avx2: bool,
@@ -363,7 +363,7 @@ impl<'a> Source<'a> {
         Self { view: *view, source_from_canvas, shift, moved, gain: fixed_gain(gain), avx2 }
     }
 
-    /// As a painter takes it.
+    /// The view for a painter.
     fn drawn(&self, source_from_canvas: &[f64; 9]) -> DrawnView<'a> {
         let mesh = match &self.source_from_canvas {
             Mapping::Mesh(grid) => Some(DrawnMesh::of(grid)),
@@ -421,8 +421,8 @@ fn paint_first(source: &Source, span: Span, y: usize, row: &mut [u8], work: &mut
     }
 }
 
-/// As [`paint_first`] where a second view is to be drawn over the first: leaves out what that will hide, but for the columns `needed`, whose differences
-/// are blended.
+/// As [`paint_first`] for a first view that a second one partly covers: skips hidden columns, except for `needed`,
+/// whose differences are blended.
 fn paint_base(
     source: &Source,
     segments: &[Segment],
@@ -454,7 +454,8 @@ struct Blended<'a> {
     out: &'a mut [i16],
 }
 
-/// Draws the new view where it is shown alone, unless it is drawn there already; in the blend zone writes differences and weights.
+/// Draws the new view where it alone is shown, unless it is already drawn; in the blend zone writes differences and
+/// weights.
 fn paint_new(
     source: &Source,
     segments: &[Segment],
@@ -503,7 +504,7 @@ fn paint_new(
     }
 }
 
-/// Gives the pixels of a zone row outside the overlap the difference of the nearest pixels inside, and their own weight.
+/// Sets pixels of a zone row outside the overlap to the difference of the nearest pixels inside, with their own weight.
 fn extend_row(segments: &[Segment], (z0, z1): (usize, usize), out: &mut [i16]) {
     let Some(known) = segments.iter().position(|s| s.both() && s.clip(z0, z1).is_some()) else {
         return;
@@ -548,7 +549,7 @@ fn extend_row(segments: &[Segment], (z0, z1): (usize, usize), out: &mut [i16]) {
     }
 }
 
-/// Gives rows without overlap the differences of the nearest row that has one.
+/// Sets rows without overlap to the differences of the nearest row with one.
 fn fill_rows(blender: &mut Blender, step: &Step, z: Rect) {
     let needed = |r: usize| step.ranges.needed(r);
     let has = |r: usize| {

@@ -13,17 +13,17 @@ pub enum GeometryState {
     Fresh,
     /// The estimate of an earlier frame, kept because it still holds.
     Held,
-    /// No estimate: the homographies are not used, the last good ones stand in.
+    /// No estimate: the homographies are not used; the last good ones are used instead.
     Lost,
 }
 
-/// Where the picture changes from one view to the next.
+/// Method for the seam between two views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SeamMethod {
     /// Later views cover earlier ones.
     None,
-    /// Shortest path through the overlap, one crossing per row (or column) of the seam grid.
-    /// Where more than two views meet the overlap is no strip, and the graph cut is used.
+    /// Shortest path through the overlap, one crossing per row (or column) of the seam grid. If more than two views
+    /// meet, the overlap is not a strip and the graph cut is used.
     DynamicProgramming,
     /// Exact minimum cut over the seam grid (thesis 2.2 and Alg. 2.3).
     #[default]
@@ -38,11 +38,12 @@ pub enum SeamCost {
     /// Colour difference divided by the local gradient: seams hide along edges (Kwatra et al. 2003, eq. 2).
     #[default]
     ColorGradient,
-    /// Colour difference, and its mean over the width of the transition if that is larger: a highlight that only one view has shows beside the seam too.
+    /// Colour difference, and its mean over the width of the transition if that is larger: a highlight in only one view
+    /// is also visible next to the seam.
     Transition,
 }
 
-/// How the views are joined along the seam.
+/// Method of blending along the seam.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BlendMethod {
     /// A hard seam without transition.
@@ -54,10 +55,10 @@ pub enum BlendMethod {
     MultiBand,
 }
 
-/// How the exposure difference between the views is evened out.
+/// Method of exposure compensation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ExposureMethod {
-    /// Views stay as they are.
+    /// No compensation.
     None,
     /// One gain per view.
     #[default]
@@ -66,25 +67,25 @@ pub enum ExposureMethod {
     ChannelGain,
 }
 
-/// What becomes of the outer border of the panorama, which is ragged where views end.
+/// Treatment of the outer border of the panorama, which is ragged where views end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BorderMethod {
-    /// It stays.
+    /// Unchanged.
     #[default]
     AsIs,
-    /// The picture fades to black towards it.
+    /// The image fades to black towards it.
     Fade,
     /// Black outside the largest upright rectangle that the views cover.
     Crop,
 }
 
-/// Which part of the plane the panorama shows.
+/// Part of the plane that the panorama shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CropMethod {
     /// The canvas around the first good geometry, with its margin.
     #[default]
     None,
-    /// The bounding box of what the views show with light.
+    /// The bounding box of the lit parts of the views.
     Content,
     /// The largest upright rectangle that the views fill with light: no black border.
     Filled,
@@ -93,24 +94,24 @@ pub enum CropMethod {
 /// Parameters of a [`Compositor`](super::Compositor).
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompositeParams {
-    /// Where the seam runs.
+    /// Method for the seam.
     pub seam: SeamMethod,
     /// Cost of the seam between two cells.
     pub seam_cost: SeamCost,
-    /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480, 1 in its conventional pipeline). 1..=64; 0 finds it from the width of the
-    /// reference view: 10 up to 1280 px, more in proportion beyond.
+    /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480, 1 in its conventional pipeline). 1..=64; 0 derives
+    /// it from the width of the reference view: 10 up to 1280 px, more in proportion beyond.
     pub seam_scale: usize,
-    /// Frames after which the seam is found anew at the latest; 1 = every frame.
+    /// Maximum number of frames before the seam is recomputed; 1 = every frame.
     pub seam_interval_frames: u32,
-    /// The seam is found anew when the cost along it grows by this factor.
+    /// Growth factor of the cost along the seam at which it is recomputed.
     pub seam_cost_growth: f32,
     /// Cost, in colour levels, of a cell that changes its view: keeps the seam from flickering.
     pub seam_hold_levels: f32,
-    /// How the views are joined.
+    /// Method of blending.
     pub blend: BlendMethod,
     /// Width of the transition across the seam, canvas pixels. 0 = hard seam; at most 256.
     pub blend_px: usize,
-    /// How exposure is evened out.
+    /// Method of exposure compensation.
     pub exposure: ExposureMethod,
     /// Share of a new gain that enters the running one per frame, 0..=1.
     pub exposure_rate: f32,
@@ -118,19 +119,19 @@ pub struct CompositeParams {
     pub canvas: Option<(usize, usize)>,
     /// Room kept free around the first geometry, canvas pixels.
     pub canvas_margin_px: usize,
-    /// Frames in a row that must leave the canvas before it grows; 0 = it never grows.
+    /// Consecutive frames beyond the canvas before it grows; 0 = it never grows.
     pub canvas_grow_after_frames: u32,
     /// Upper bound of canvas width and height, pixels.
     pub max_canvas_side_px: usize,
-    /// Which part of the plane is shown. Without effect beside a fixed `canvas`.
+    /// Part of the plane that is shown. Without effect if `canvas` is fixed.
     pub crop: CropMethod,
     /// Time for which a larger part must have been covered before the panorama grows, s; 0..=60.
     pub crop_hold_s: f32,
-    /// What becomes of the outer border.
+    /// Treatment of the outer border.
     pub border: BorderMethod,
     /// Width of a fading border, canvas pixels; 1..=1024.
     pub border_px: usize,
-    /// Direction of "up" in the reference view, degrees clockwise from the picture's top; `None` draws no cue.
+    /// Direction of "up" in the reference view, degrees clockwise from the image's top; `None` draws no cue.
     pub up_cue_deg: Option<f32>,
     /// Marks frames whose geometry is lost (red frame and text).
     pub mark_lost: bool,
@@ -139,7 +140,8 @@ pub struct CompositeParams {
 }
 
 impl CompositeParams {
-    /// Pixels along a side of a cell of the coarse grid that seams and exposures work on, for a reference view of so many columns.
+    /// Pixels along a side of a cell of the coarse grid that seams and exposures work on, for a reference view of
+    /// `width` columns.
     pub(super) fn cell_px(&self, width: usize) -> usize {
         match self.seam_scale {
             0 => (width / 128).clamp(10, 64),
@@ -176,7 +178,7 @@ impl Default for CompositeParams {
     }
 }
 
-/// Size of the panorama and where the reference view lies in it.
+/// Size of the panorama and position of the reference view in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Canvas {
     /// Columns, pixels.
@@ -189,7 +191,7 @@ pub struct Canvas {
     pub top: i32,
 }
 
-/// Why a set of homographies cannot be used.
+/// A set of homographies that cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GeometryFault {
     /// An element is NaN or infinite.
@@ -202,7 +204,7 @@ pub enum GeometryFault {
         /// Index of the view.
         view: usize,
     },
-    /// The warped corners do not form a convex quadrilateral of the same turn (thesis 2.4.3).
+    /// The warped corners do not form a convex quadrilateral of the same orientation (thesis 2.4.3).
     NotConvex {
         /// Index of the view.
         view: usize,
@@ -233,7 +235,7 @@ impl fmt::Display for GeometryFault {
     }
 }
 
-/// Why a call fails. Bad homographies are not an error: see [`GeometryFault`].
+/// Error of a call. Bad homographies are not an error: see [`GeometryFault`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CompositeError {
     /// No view, or more than [`MAX_VIEWS`].
@@ -259,7 +261,7 @@ pub enum CompositeError {
         /// Its channels.
         channels: usize,
     },
-    /// An output has not the size (and channels) of the canvas.
+    /// An output does not have the size (and channels) of the canvas.
     Output {
         /// Columns needed.
         width: usize,
@@ -292,19 +294,20 @@ impl std::error::Error for CompositeError {}
 /// Result of [`compose`](super::Compositor::compose).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CompositeReport {
-    /// State of the geometry that was shown: `Lost` also when the given homographies were refused.
+    /// State of the geometry that was shown: `Lost` also if the given homographies were rejected.
     pub state: GeometryState,
-    /// Why the given homographies were refused.
+    /// Reason why the given homographies were rejected.
     pub fault: Option<GeometryFault>,
     /// Canvas drawn on.
     pub canvas: Canvas,
-    /// True when the seam was found anew in this frame.
+    /// Whether the seam was recomputed in this frame.
     pub seam_found: bool,
     /// Mean colour difference along the seam, levels.
     pub seam_cost: f32,
-    /// Time for the seam: sampling the overlap at its scale, comparing the views there and, when it is due, finding the seam anew.
+    /// Time for the seam: sampling the overlap at its scale, comparing the views there and, when due, recomputing the
+    /// seam.
     pub seam_time: std::time::Duration,
-    /// How much more area the panorama covers than the reference view, percent. Where it is cropped, only what is lit counts, of both.
+    /// Additional area of the panorama over the reference view, percent. If it is cropped, only lit areas are counted.
     pub view_gain_percent: f64,
     /// Gains applied per view, B, G, R.
     pub gains: [[f32; 3]; MAX_VIEWS],

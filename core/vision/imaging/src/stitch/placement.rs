@@ -1,44 +1,44 @@
-//! Quality of a composite's geometry by the truth: alignment, breaks along the seam, stretch, ghosts.
+//! Quality of a composite's geometry by ground truth: alignment, breaks along the seam, stretch, ghosts.
 
 use super::evaluate::{Gray, TruePairs};
 use super::mesh::Mesh;
 use crate::geometry::{Homography, Point};
 use crate::{Rect, View};
 
-/// Distance of the positions that a derivative is taken from, px.
+/// Step of numerical derivatives, px.
 const SLOPE_PX: f64 = 8.0;
-/// Spacing of the places at which stretch is measured, px.
+/// Spacing of the positions at which stretch is measured, px.
 const STRETCH_STEP: usize = 16;
-/// Steps of the search for the place of a point.
+/// Steps of the search for the position of a point.
 const PLACE_STEPS: usize = 24;
 
-/// Where a composite places the other view: by a mesh where there is one, else by a homography.
+/// Placement of the other view by a composite: by a mesh if there is one, else by a homography.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Placement {
     left_from_other: Homography,
     other_from_left: Homography,
     mesh: Option<Mesh>,
-    /// Where the left view is drawn; `None` where it is.
+    /// Mesh of the left view; `None` if it is unchanged.
     reference: Option<Mesh>,
 }
 
 impl Placement {
-    /// The left view stays where it is. `None` when the homography has no inverse.
+    /// A placement with an unchanged left view. `None` if the homography has no inverse.
     pub fn new(left_from_other: Homography, mesh: Option<Mesh>) -> Option<Self> {
         Some(Self { left_from_other, other_from_left: left_from_other.inverse()?, mesh, reference: None })
     }
 
-    /// The left view is drawn by a mesh too.
+    /// Also warps the left view by a mesh.
     pub fn with_reference(self, reference: Option<Mesh>) -> Self {
         Self { reference, ..self }
     }
 
-    /// Point of the left view that the panorama shows at a point of its plane; the mesh leaves what lies beside it where it is.
+    /// Point of the left view that the panorama shows at a point of its plane; points outside the mesh are unchanged.
     fn left_of(&self, at: Point) -> Point {
         self.reference.as_ref().and_then(|mesh| mesh.map(at)).unwrap_or(at)
     }
 
-    /// Where the panorama draws a point of the left view.
+    /// Position in the panorama of a point of the left view.
     fn place_of(&self, left: Point) -> Point {
         let mut at = left;
         if self.reference.is_some() {
@@ -50,7 +50,7 @@ impl Placement {
         at
     }
 
-    /// Where a point of the left view's plane is taken from in the other view; `None` outside the mesh.
+    /// Position in the other view of a point of the left view's plane; `None` outside the mesh.
     pub fn other_of(&self, left: Point) -> Option<Point> {
         match &self.mesh {
             Some(mesh) => mesh.map(left),
@@ -67,13 +67,14 @@ impl Placement {
         Some([along(SLOPE_PX, 0.0)?, along(0.0, SLOPE_PX)?])
     }
 
-    /// Distance in the panorama between the places where the composite draws the point `left` and its counterpart `other`.
-    /// `None` outside the mesh.
+    /// Distance in the panorama between the positions at which the composite draws the point `left` and its counterpart
+    /// `other`. `None` outside the mesh.
     pub fn error_px(&self, other: Point, left: Point) -> Option<f64> {
         self.apart_px(other, self.place_of(left))
     }
 
-    /// Distance in the panorama between a point of its plane and the place where the composite draws the point `other`.
+    /// Distance in the panorama between a point of its plane and the position at which the composite draws the point
+    /// `other`.
     fn apart_px(&self, other: Point, place: Point) -> Option<f64> {
         if self.mesh.is_none() {
             return Some(self.left_from_other.squared_error(other, place).sqrt());
@@ -91,8 +92,8 @@ impl Placement {
         })
     }
 
-    /// How far the other view's picture has moved since another placement: root mean square distance on the left view's plane over a 3 x 3 grid of
-    /// its points. `None` outside a mesh.
+    /// Motion of the other view's image relative to another placement: root mean square distance on the left view's
+    /// plane over a 3 x 3 grid of its points. `None` outside a mesh.
     pub fn motion_px(&self, previous: &Self, (width, height): (usize, usize)) -> Option<f64> {
         let mut squares = 0.0;
         for i in 0..9 {
@@ -117,10 +118,10 @@ impl Placement {
         (count > 0).then(|| ((squares / count as f64).sqrt(), count))
     }
 
-    /// How far a line that crosses the seam is broken: error of the true pairs at the seam, px; their median and the value that 95 % stay within.
+    /// Break of lines that cross the seam: error of the true pairs at the seam, px; median and 95 % quantile.
     ///
-    /// `shown`: view of each pixel of the canvas (0: none, 1: the left one, `view`: the other); `left_at`: the left view's place there. `None` when
-    /// no true pair lies at the seam.
+    /// `shown`: view of each pixel of the canvas (0: none, 1: the left one, `view`: the other); `left_at`: the left
+    /// view's place there. `None` when no true pair lies at the seam.
     pub fn seam_break(
         &self,
         pairs: &TruePairs<'_>,
@@ -149,8 +150,8 @@ impl Placement {
         quantiles(&mut errors)
     }
 
-    /// Change of lengths against the homography where only the other view is shown, percent; the value that 95 % of the places stay
-    /// within. 0 without a mesh, `None` where there is no such place.
+    /// Change of lengths against the homography where only the other view is shown, percent; the 95 % quantile. 0
+    /// without a mesh, `None` if there is no such position.
     pub fn stretch_pct(&self, shown: View<'_, u8>, view: u8, left: Rect, left_at: (i32, i32)) -> Option<f64> {
         let mut all = Vec::new();
         for y in (0..shown.height).step_by(STRETCH_STEP) {
@@ -185,7 +186,7 @@ impl Placement {
     }
 }
 
-/// Median and the value that 95 % stay within.
+/// Median and 95 % quantile.
 fn quantiles(values: &mut [f64]) -> Option<(f64, f64)> {
     values.sort_unstable_by(f64::total_cmp);
     let at = |share: f64| values.get(((values.len() as f64 - 1.0) * share).round() as usize).copied();
@@ -193,8 +194,9 @@ fn quantiles(values: &mut [f64]) -> Option<(f64, f64)> {
     Some((at(0.5)?, at(0.95)?))
 }
 
-/// Share of the pixels of `region` that show what the truth has nowhere near, percent: they lie further than `levels` outside the range of the
-/// truth within `reach` px. `None` when the region is empty. All have one size; one gain between the pictures is taken out.
+/// Share of the pixels of `region` whose content is not nearby in the ground truth, percent: more than `levels` outside
+/// the range of the ground truth within `reach` px. `None` when the region is empty. All have one size; one gain
+/// between the images is removed.
 pub fn ghost_pct(picture: &Gray, truth: &Gray, region: &[bool], reach: usize, levels: f32) -> Option<f64> {
     let (mut cross, mut square) = (0.0f64, 0.0f64);
     for ((p, t), _) in picture.data.iter().zip(&truth.data).zip(region).filter(|(_, inside)| **inside) {

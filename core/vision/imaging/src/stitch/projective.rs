@@ -3,7 +3,7 @@
 use super::params::GeometryFault;
 use crate::geometry::Homography;
 
-/// The homography that moves nothing, row-major.
+/// The identity homography, row-major.
 pub const IDENTITY: [f64; 9] = Homography::identity().0;
 
 /// The four corners of a `width` x `height` view after `h`: top left, top right, bottom right, bottom left.

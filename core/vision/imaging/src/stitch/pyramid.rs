@@ -1,14 +1,14 @@
-//! Pyramid kernels on rows of four i16 lanes per pixel: difference in B, G, R (1/8 level) and weight (1024 = one). Where only weights are blurred, rows
-//! have one lane: the weight.
+//! Pyramid kernels on rows of four i16 lanes per pixel: difference in B, G, R (1/8 level) and weight (1024 = one). If
+//! only weights are blurred, rows have one lane: the weight.
 //!
-//! With values up to 2040 every intermediate sum fits in 16 bits. Reconstruction is exact: where all weights are
-//! one (or zero) the collapsed pyramid gives back the difference (or zero) to the bit.
+//! With values up to 2040 every intermediate sum fits in 16 bits. Reconstruction is exact: where all weights are one
+//! (or zero) the collapsed pyramid gives back the difference (or zero) to the bit.
 
 /// Lanes per pixel.
 pub const LANES: usize = 4;
 /// Weight of one.
 pub const ONE: i16 = 1024;
-/// Pixels of room before and after a scratch row, so that filters need no border case.
+/// Padding in pixels before and after a scratch row, so that filters need no border case.
 pub const PAD: usize = 4;
 
 macro_rules! dispatch {
@@ -67,7 +67,7 @@ dispatch!(
     horizontal_up, horizontal_up_avx2, horizontal_up_body, manual, (padded: &[i16], out: &mut [i16])
 );
 dispatch!(
-    /// Takes the weights, lane 3, out of a row.
+    /// Extracts the weights, lane 3, of a row.
     weights_of, weights_of_avx2, weights_of_body, (pixels: &[i16], out: &mut [i16])
 );
 dispatch!(
@@ -79,11 +79,11 @@ dispatch!(
     horizontal_up_one, horizontal_up_one_avx2, horizontal_up_one_body, (padded: &[i16], out: &mut [i16])
 );
 dispatch!(
-    /// `blended += weight * (fine - coarse)`; the weight stands in lane 3 of `fine`.
+    /// `blended += weight * (fine - coarse)`; the weight is in lane 3 of `fine`.
     add_band, add_band_avx2, add_band_body, manual, (fine: &[i16], coarse: &[i16], blended: &mut [i16])
 );
 dispatch!(
-    /// `out = weight * values`; the weight stands in lane 3 of `weights`.
+    /// `out = weight * values`; the weight is in lane 3 of `weights`.
     weigh, weigh_avx2, weigh_body, (values: &[i16], weights: &[i16], out: &mut [i16])
 );
 dispatch!(
@@ -238,7 +238,7 @@ fn weigh_by_one_body(values: &[i16], weights: &[i16], out: &mut [i16]) {
     }
 }
 
-/// The kernels for which the compiler does not find the shuffles itself; ends of rows go through the portable bodies.
+/// Kernels with explicit shuffles that the compiler does not generate; ends of rows use the portable bodies.
 #[cfg(target_arch = "x86_64")]
 mod simd {
     use super::*;
@@ -317,8 +317,8 @@ mod simd {
     }
 }
 
-/// Repeats the border pixels of a padded row of `width` pixels into its padding, where `low..high` is filled and
-/// reaches the border.
+/// Repeats the border pixels of a padded row of `width` pixels into its padding, if `low..high` is filled and reaches
+/// the border.
 pub fn pad_row<const N: usize>(padded: &mut [i16], low: usize, high: usize, width: usize) {
     let padded = padded.as_chunks_mut::<N>().0;
     if low == 0 {

@@ -4,10 +4,10 @@ use crate::geometry::Point;
 use crate::shrink::shrunk_px;
 use crate::stereo::Lens;
 
-/// One camera and its rectification, as far as a pixel's way from the rectified view back to the picture needs them.
+/// One camera and its rectification, with the parameters that map a pixel of the rectified view back to the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RectifiedView {
-    /// Columns and rows of the picture.
+    /// Columns and rows of the image.
     pub size: (usize, usize),
     /// Focal lengths of the camera, px.
     pub focal_px: [f64; 2],
@@ -24,7 +24,7 @@ pub struct RectifiedView {
 }
 
 impl RectifiedView {
-    /// Whether the camera's picture is the rectified view.
+    /// Whether the camera's image is the rectified view.
     pub fn is_straight(&self) -> bool {
         let same = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
         self.lens == Lens::NONE
@@ -33,7 +33,7 @@ impl RectifiedView {
             && self.centre_px == self.rectified_centre_px
     }
 
-    /// Where a pixel of the rectified view lies in the camera's picture; not finite when the camera cannot see it.
+    /// Position in the camera's image of a pixel of the rectified view; not finite if the camera cannot see it.
     pub fn unrectify(&self, [u, v]: Point) -> Point {
         let (x, y) = (
             (u - self.rectified_centre_px[0]) / self.rectified_focal_px[0],
@@ -49,7 +49,7 @@ impl RectifiedView {
         [self.focal_px[0] * dx + self.centre_px[0], self.focal_px[1] * dy + self.centre_px[1]]
     }
 
-    /// The same camera with a picture that is smaller by a whole factor, each pixel the mean of a block.
+    /// The same camera with an image that is smaller by a whole factor, each pixel the mean of a block.
     pub fn shrunk(&self, factor: usize) -> Self {
         let px = |length: f64| length / factor as f64;
         let at = |centre: Point| centre.map(|at| shrunk_px(at, factor));

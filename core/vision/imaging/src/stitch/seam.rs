@@ -1,35 +1,36 @@
-//! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
+//! The seam between the images joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
 use super::graph_cut::GridCut;
 use super::mesh::{Keep, Kept, Mesh};
 use super::params::{Canvas, CompositeParams, SeamCost, SeamMethod};
 use crate::geometry::length;
 
-/// What covers a cell: bit 0 the pictures so far, bit 1 the new view.
+/// Coverage of a cell: bit 0 the previous images, bit 1 the new view.
 pub const BASE: u8 = 1;
-/// See [`BASE`].
+/// Bit of the new view in the coverage of a cell.
 pub const NEW: u8 = 2;
 /// Covered by both.
 pub const BOTH: u8 = 3;
 
 /// Capacities are levels times this.
 const UNIT: f32 = 64.0;
-/// Every cell boundary costs this many levels more, which keeps seams short where all is alike.
+/// Additional cost per cell boundary, levels; keeps seams short in uniform areas.
 const LENGTH_LEVELS: f32 = 1.0;
 /// Levels that a pixel of doubt about where the views match adds to the cost of a cell.
 const DOUBT_LEVELS: f32 = 4.0;
 /// Doubt per pixel by which the reference view is moved.
 const MOVED_DOUBT: f32 = 1.0;
-/// Levels that a cell costs whose view is not the one that must show it: more than any seam around it, but where an instrument is only likely.
+/// Cost in levels of a cell that does not show the required view, more than any seam around it; lower where an
+/// instrument is only likely.
 const KEPT_LEVELS: f32 = 2000.0;
 const LIKELY_LEVELS: f32 = 6.0;
-/// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
+/// Cost factor of a seam on the rim of the overlap, where there is no space to blend.
 const RIM: f32 = 3.0;
 
-/// A transition reaches this far beside the seam, px.
+/// Reach of a transition on each side of the seam, px.
 const BESIDE_PX: f64 = 16.0;
 
-/// How far the reference view is moved at a place, or where a transition reaches from a seam there.
+/// Displacement of the reference view at a position, or within a transition's reach of it.
 fn moved_px(reference: &Mesh, [low, high]: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
     let mut most = 0.0f64;
     for step in [[0.0, 0.0], [BESIDE_PX, 0.0], [-BESIDE_PX, 0.0], [0.0, BESIDE_PX], [0.0, -BESIDE_PX]] {
@@ -43,7 +44,8 @@ fn moved_px(reference: &Mesh, [low, high]: [[f64; 2]; 2], at: [f64; 2]) -> f64 {
     most
 }
 
-/// Whether a cell must be shown by the new view, or by those before, and what it costs if it is not, levels; `None` where either may.
+/// Whether a cell must be shown by the new view or by the previous ones, and the cost if it is not, levels; `None` if
+/// both are allowed.
 fn must_take(kept: &[Keep], cell: usize) -> Option<(bool, f32)> {
     let Keep { view, is_sure } = *kept.get(cell)?;
     let levels = if is_sure { KEPT_LEVELS } else { LIKELY_LEVELS };
@@ -54,20 +56,20 @@ fn must_take(kept: &[Keep], cell: usize) -> Option<(bool, f32)> {
     }
 }
 
-/// Which cells show the new view rather than those before it.
+/// Which cells show the new view instead of the previous ones.
 #[derive(Debug, Default)]
 pub struct Seam {
     /// Cells per row.
     pub columns: usize,
     /// Rows of cells.
     pub rows: usize,
-    /// What covers each cell.
+    /// Coverage of each cell.
     pub class: Vec<u8>,
     /// Colour difference per cell, levels.
     pub cost: Vec<f32>,
     /// Gradient per cell, levels.
     pub gradient: Vec<f32>,
-    /// Cost per cell beside the colours, levels: how uncertain it is that the views match there.
+    /// Additional cost per cell for the uncertainty of the views' match, levels.
     doubt: Vec<f32>,
     /// The view that must show each cell; empty where all are free.
     kept: Vec<Keep>,
@@ -80,14 +82,14 @@ pub struct Seam {
     path_cost: Vec<f32>,
     path_from: Vec<u32>,
     path: Vec<u32>,
-    /// Per crossing of a line: the least cost of a path to it from the line before, and where that comes from.
+    /// Per crossing of a line: the minimum cost of a path to it from the previous line, and its predecessor.
     arrivals: Vec<(f32, u32)>,
     /// Per row of cells: first column, one past the last column and one past the last row of the label changes.
     changes: Vec<(usize, usize, usize)>,
 }
 
 impl Seam {
-    /// Forgets the seam; the next frame finds a new one.
+    /// Clears the seam; the next frame finds a new one.
     pub fn forget(&mut self) {
         self.known = false;
     }
@@ -119,9 +121,11 @@ impl Seam {
         self.class.resize(n, 0);
     }
 
-    /// Takes over how uncertain a mesh is; `None` for a view that a homography places. To be called after [`Seam::resize`].
+    /// Sets the uncertainty of a mesh; `None` for a view that is placed by a homography. Must be called after
+    /// [`Seam::resize`].
     ///
-    /// `reference`: the mesh of the reference view. Where it moves that view the panorama shows neither camera's perspective, which the seam shuns.
+    /// `reference`: the mesh of the reference view. Where it moves that view, the panorama shows neither camera's
+    /// perspective, so the seam avoids these regions.
     pub fn doubt(&mut self, mesh: Option<&Mesh>, reference: Option<&Mesh>, canvas: Canvas, scale: usize) {
         let Some(mesh) = mesh else { return self.doubt.fill(0.0) };
         let moved = reference.and_then(|mesh| Some((mesh, mesh.moved()?)));
@@ -143,7 +147,8 @@ impl Seam {
         }
     }
 
-    /// Takes over which view must show each cell, so that instruments are whole. To be called after [`Seam::resize`].
+    /// Sets the view that must show each cell, so that instruments are shown completely. Must be called after
+    /// [`Seam::resize`].
     pub fn keep(&mut self, mesh: Option<&Mesh>, canvas: Canvas, scale: usize) {
         self.kept.clear();
         let Some(mesh) = mesh.filter(|mesh| mesh.keeps_any()) else { return };
@@ -154,7 +159,7 @@ impl Seam {
         }
     }
 
-    /// Whether a cell of the overlap that is known to show an instrument shows the wrong view.
+    /// Whether a cell of the overlap with a certain instrument shows the wrong view.
     fn is_cut(&self) -> bool {
         let must = |cell: usize| must_take(&self.kept, cell).filter(|_| self.kept[cell].is_sure);
         let is_wrong = |cell: usize| must(cell).is_some_and(|(new, _)| new != (self.take[cell] == 1));
@@ -184,8 +189,8 @@ impl Seam {
         if count == 0 { 0.0 } else { (sum / f64::from(count)) as f32 }
     }
 
-    /// Updates the labels, of cells with sides of `cell_px`: finds a new seam when it is due (and `may_find`), else keeps the old one. Returns
-    /// whether it found one.
+    /// Updates the labels of cells with sides of `cell_px`: finds a new seam if due and `may_find`, else keeps the old
+    /// one. Returns whether it found one.
     pub fn update(
         &mut self,
         params: &CompositeParams,
@@ -199,7 +204,8 @@ impl Seam {
         found
     }
 
-    /// Whether [`Seam::update`] finds a new seam in this frame, whose costs are known: only then it reads what [`Seam::doubt`] sets.
+    /// Whether [`Seam::update`] finds a new seam in this frame, whose costs are known: only then it reads what
+    /// [`Seam::doubt`] sets.
     pub fn is_due(&self, params: &CompositeParams, may_find: bool) -> bool {
         let is_old = self.age_frames.saturating_add(1) >= params.seam_interval_frames.max(1)
             || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;
@@ -268,7 +274,7 @@ impl Seam {
         }
     }
 
-    /// Cost of a seam between two neighbouring cells, or `None` when either lies outside the overlap and none is at stake.
+    /// Cost of a seam between two neighbouring cells, or `None` if either is outside the overlap and none is needed.
     fn price(&self, p: usize, q: usize) -> Option<f32> {
         match (self.class[p], self.class[q]) {
             (BOTH, BOTH) => Some(self.weight[p] + self.weight[q] + LENGTH_LEVELS),
@@ -345,7 +351,7 @@ impl Seam {
         }
     }
 
-    /// One crossing per line of the overlap; lines are rows when the views lie side by side, else columns.
+    /// One crossing per line of the overlap; lines are rows if the views are side by side, else columns.
     fn shortest_path(&mut self, hold: f32) {
         let (w, h) = (self.columns, self.rows);
         let mut centre = [[0.0f64; 3]; 2];
@@ -467,7 +473,7 @@ impl Seam {
         }
     }
 
-    /// Finds where labels change, row of cells by row. To be called after [`Seam::update`].
+    /// Finds where labels change, row of cells by row. Must be called after [`Seam::update`].
     fn find_changes(&mut self) {
         let (w, h) = (self.columns, self.rows);
         self.changes.clear();
@@ -504,8 +510,8 @@ impl Seam {
     }
 
     /// Columns at which canvas row `y` changes view, and whether it starts with the new one. Labels are interpolated
-    /// between cell centres and cut at one half, so that the enlarged seam has no steps.
-    /// Only cells `first..end` are examined: labels must not change elsewhere (see [`Seam::bounds`]).
+    /// between cell centres and thresholded at one half, so that the enlarged seam has no steps. Only cells
+    /// `first..end` are examined: labels must not change elsewhere (see [`Seam::bounds`]).
     pub fn crossings(
         &self,
         y: usize,

@@ -1,13 +1,13 @@
-//! What each canvas row shows, as runs of columns.
+//! Content of each canvas row, as runs of columns.
 
 use super::seam::Seam;
 use super::warp::Span;
 
 /// Nothing covers the pixels.
 pub const EMPTY: u8 = 0;
-/// Only the pictures so far.
+/// Only the images so far.
 pub const BASE_ONLY: u8 = 1;
-/// Both; the pictures so far are shown.
+/// Both; the images so far are shown.
 pub const BASE_SHOWN: u8 = 2;
 /// Both; the new view is shown.
 pub const NEW_SHOWN: u8 = 3;
@@ -32,7 +32,7 @@ impl Segment {
         (a < b).then_some((a, b))
     }
 
-    /// True where both pictures exist.
+    /// True where both images exist.
     pub fn both(&self) -> bool {
         matches!(self.kind, BASE_SHOWN | NEW_SHOWN)
     }

@@ -1,4 +1,4 @@
-//! Coarse samples of the views on the canvas: what the seam and the exposure are found on.
+//! Coarse samples of the views on the canvas: the input of seam and exposure.
 
 use super::exposure::OverlapLight;
 use super::mesh::Mapping;
@@ -59,7 +59,7 @@ impl Taps {
     }
 }
 
-/// The pictures joined so far, as samples with gains applied; lane 3 is 255 where there is one.
+/// The images joined so far, as samples with gains applied; lane 3 is 255 where there is one.
 #[derive(Debug, Default)]
 pub struct Joined {
     values: Vec<[u8; 4]>,
@@ -82,7 +82,7 @@ impl Joined {
         }
     }
 
-    /// Light of the overlap in the joined pictures and in the view.
+    /// Light of the overlap in the joined images and in the view.
     pub fn light(&self, taps: &Taps) -> OverlapLight {
         let mut light = OverlapLight::default();
         // Two samples of a cell measure its brightness as well as four.

@@ -1,4 +1,4 @@
-//! Tests of the whole compositor on synthetic pictures whose true panorama is known.
+//! Tests of the whole compositor on synthetic images whose true panorama is known.
 
 use super::*;
 use crate::geometry::Homography;
@@ -30,7 +30,7 @@ fn world(x: f64, y: f64) -> [f64; 3] {
     v
 }
 
-/// The picture of a camera whose pixels `world_from_view` maps to world positions.
+/// The image of a camera whose pixels `world_from_view` maps to world positions.
 pub(super) fn shoot(world_from_view: &[f64; 9], width: usize, height: usize, gain: f64) -> Vec<u8> {
     let mut data = Vec::with_capacity(width * height * 3);
     for y in 0..height {

@@ -1,47 +1,49 @@
 //! Perspective warp, bilinear, in blocks of output pixels.
 //!
-//! By a matrix, coordinates are f32 relative to an f64 start every 64 pixels (error below 1/1000 px); by a mesh, steps of 1/65536 px from each vertex
-//! on (error below 1/500 px). Positions are rounded to 1/64 px. The portable and the AVX2 path give the same bytes.
+//! By a matrix, coordinates are f32 relative to an f64 start every 64 pixels (error below 1/1000 px); by a mesh, steps
+//! of 1/65536 px from each vertex on (error below 1/500 px). Positions are rounded to 1/64 px. The portable and the
+//! AVX2 path give the same bytes.
 
 mod line;
 
 use crate::View;
 pub use line::{Line, NODES, locate_line};
 
-/// Output pixels per block: enough that what is prepared once for a block does not count.
+/// Output pixels per block, enough to amortise the preparation of a block.
 pub const BLOCK: usize = 256;
-/// Output pixels from one start of a perspective to the next.
+/// Output pixels between two exact evaluations of a perspective.
 const REACH: usize = 64;
-/// Output pixels that are located together.
+/// Output pixels located per step.
 pub const GROUP: usize = 8;
-/// A group may begin anywhere in a block.
+/// Size of a block's arrays; a group may begin anywhere in the block.
 const ROOM: usize = BLOCK + GROUP;
 
-/// Gain of one, per channel, as [`sample`] takes it (Q14).
+/// Gain of one per channel for [`sample`] (Q14).
 pub const UNIT_GAIN: [i16; 4] = [16384, 16384, 16384, 0];
 
-/// Where a block of output pixels reads its source.
+/// Source positions of a block of output pixels.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub struct Block {
-    /// Byte offset of the upper left neighbour. What is behind a block of pixels has no meaning.
+    /// Byte offset of the upper left neighbour. Entries after the last pixel are undefined.
     pub(super) offset: [u32; ROOM],
-    /// Weights, from the low byte on: of the left and of the right column in 1/64, and of the lower row in Q14, two bytes.
+    /// Weights, from the low byte on: of the left and of the right column in 1/64, and of the lower row in Q14, two
+    /// bytes.
     pub(super) weights: [u32; ROOM],
     /// Pixels that are located, in whole groups.
     located: usize,
-    /// None of their offsets is larger.
+    /// Upper bound of their offsets.
     farthest: usize,
 }
 
 impl Block {
-    /// Forgets what was located.
+    /// Clears the located pixels.
     pub(super) fn clear(&mut self) {
         (self.located, self.farthest) = (0, 0);
     }
 
-    /// Counts pixels `first .. end`, which follow those so far, and whose positions lie on a line: both ends bound the rows between them, but for
-    /// rounding by one, and a column is less than a stride.
+    /// Counts pixels `first .. end`, which follow the previous ones and whose positions are on a line: both ends bound
+    /// the rows between them, up to rounding by one, and a column is less than a stride.
     fn reaches(&mut self, first: usize, end: usize, stride: usize) {
         if first < end {
             let ends = self.offset[first].max(self.offset[end - 1]) as usize;
@@ -50,7 +52,7 @@ impl Block {
         }
     }
 
-    /// Counts any pixels, which follow those so far.
+    /// Counts any pixels that follow the previous ones.
     fn reaches_any(&mut self, first: usize, end: usize) {
         let farthest = self.offset[first..end].iter().fold(0, |most, offset| most.max(*offset));
         self.farthest = self.farthest.max(farthest as usize);
@@ -75,8 +77,8 @@ impl Default for Pixels {
     }
 }
 
-/// Fills `block` for the output pixels `(x .. x + count, y)`, count at most [`BLOCK`]; `source_from_output` maps output pixels to
-/// those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
+/// Fills `block` for the output pixels `(x .. x + count, y)`, count at most [`BLOCK`]; `source_from_output` maps output
+/// pixels to those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
 pub fn locate(
     source_from_output: &[f64; 9],
     x: usize,
@@ -143,7 +145,7 @@ fn locate_body(s: [f32; 3], d: [f32; 3], source: &Source, (first, count): (usize
     }
 }
 
-/// Notes where output pixel `i` reads its source: position `at`, clamped to the view.
+/// Records the source position of output pixel `i`: position `at`, clamped to the view.
 #[inline(always)]
 fn put(block: &mut Block, i: usize, at: [f32; 2], limit: [f32; 2], last: [i32; 2], stride: i32) {
     (block.offset[i], block.weights[i]) = located(at, limit, last, stride);
@@ -189,7 +191,7 @@ impl Source {
         }
     }
 
-    /// Whether offsets are sums of products of 16-bit numbers.
+    /// Whether offsets can be computed from 16-bit products.
     fn is_small(&self) -> bool {
         self.stride.max(self.last[0]).max(self.last[1]) <= i32::from(i16::MAX)
     }
@@ -236,7 +238,7 @@ fn round_multiply(a: i32, b: i32) -> i32 {
 
 /// Samples the first `count` positions of `block` from a BGR view, times `gain` (Q14), into `out`.
 ///
-/// Up to seven pixels past `count` are written with values without meaning.
+/// Up to seven pixels past `count` are written with undefined values.
 pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out: &mut Pixels, avx2: bool) {
     let count = count.min(BLOCK);
     #[cfg(target_arch = "x86_64")]
@@ -269,7 +271,8 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
 }
 
 /// # Safety
-/// For each of the first `count` offsets (a multiple of 8, at most [`BLOCK`]), `offset + stride + 8` bytes must be readable.
+/// For each of the first `count` offsets (a multiple of 8, at most [`BLOCK`]), `offset + stride + 8` bytes must be
+/// readable.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn sample_avx2(
@@ -377,9 +380,9 @@ impl Span {
     }
 }
 
-/// The columns of each of `rows` output rows whose source position lies inside the view.
+/// The columns of each of `rows` output rows whose source position is inside the view.
 ///
-/// `source_from_output` must be scaled so that its third row is positive where the view lies.
+/// `source_from_output` must be scaled so that its third row is positive inside the view.
 pub fn coverage(
     source_from_output: &[f64; 9],
     view: (usize, usize),

@@ -23,7 +23,8 @@ pub fn texture(x: f64, y: f64) -> f64 {
     upper * (1.0 - fy) + lower * fy
 }
 
-/// A left and a right view of a surface whose disparity at the left pixel (x, y) is `plane[0] + plane[1] x + plane[2] y`.
+/// A left and a right view of a surface whose disparity at the left pixel (x, y) is `plane[0] + plane[1] x + plane[2]
+/// y`.
 pub fn plane_pair(width: usize, height: usize, plane: [f64; 3]) -> (Vec<u8>, Vec<u8>) {
     let mut left = Vec::with_capacity(width * height);
     let mut right = Vec::with_capacity(width * height);

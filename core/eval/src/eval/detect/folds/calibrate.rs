@@ -1,5 +1,5 @@
-//! Scores beside what they promise, on operations left out: calibration error class by class, the curve that corrects it, limits for a wanted
-//! precision, and what an `unknown` would do.
+//! Calibration of scores on left-out operations: calibration error per class, the curve that corrects it, limits for a
+//! required precision, and the effect of an `unknown` class.
 
 use std::path::Path;
 
@@ -14,19 +14,19 @@ use crate::session::{Session, note};
 use panoscope_engine::text_table::table;
 use panoscope_imaging::detect::{Find, Object, Shape, overlap};
 
-/// Lowest score that is judged: a network answers any number of boxes below it, all wrong, which would make every error small.
+/// Minimum evaluated score; a network returns any number of wrong boxes below it, which would make every error small.
 pub const FLOOR: f64 = 0.05;
 /// Format of the file that `export_detector.py --calibration` reads.
 const FORMAT: &str = "panoscope-calibration-1";
-/// Probability from which boxes are counted where `unknown` is judged: the default of `yolo`.
+/// Probability from which boxes are counted in the evaluation of `unknown`: the default of `yolo`.
 const REPORTED: f64 = 0.3;
 /// Limits of the class's probability that are tried.
 const TRIED: [f64; 5] = [0.0, 0.4, 0.5, 0.6, 0.7];
 
-/// A box as `yolo` would report it: the likeliest class of each place.
+/// A box as reported by `yolo`: the likeliest class per position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Number of its picture.
+    /// Number of its image.
     picture: usize,
     bbox: [f64; 4],
     class: usize,
@@ -48,7 +48,7 @@ impl Sample {
     }
 }
 
-/// The boxes of a picture beside its objects. Boxes on a crowd alone are left out.
+/// The boxes of an image matched with its objects. Boxes on crowds only are ignored.
 fn of_picture(picture: usize, objects: &[Object], finds: &[Find], objectness: &[f64], out: &mut Vec<Sample>) {
     let mut order: Vec<usize> =
         (0..finds.len()).filter(|&f| finds[f].score >= FLOOR || objectness[f] >= FLOOR).collect();
@@ -75,7 +75,7 @@ fn of_picture(picture: usize, objects: &[Object], finds: &[Find], objectness: &[
     }
 }
 
-/// The boxes of all pictures of a fold.
+/// The boxes of all images of a fold.
 pub fn samples(objects: &[Vec<Object>], predicted: &Predicted) -> Vec<Sample> {
     let mut out = Vec::new();
     let pictures = objects.iter().zip(&predicted.finds).zip(&predicted.objectness);
@@ -102,13 +102,13 @@ fn fit<'a>(samples: impl Iterator<Item = &'a Sample> + Clone) -> (Curve, Option<
     (Curve::fit(&named), is_stored.then(|| Curve::fit(&any)))
 }
 
-/// What is wanted of [`report`].
+/// Options of [`report`].
 pub struct Wanted<'a> {
     /// Names of the classes.
     pub classes: &'a [String],
-    /// What the figures are about.
+    /// Input of the figures.
     pub input: &'a str,
-    /// Share of right boxes that the limits of the classes hold.
+    /// Precision that the limits of the classes guarantee.
     pub precision: f64,
     /// Folder for the diagram.
     pub pictures: Option<&'a Path>,
@@ -116,11 +116,11 @@ pub struct Wanted<'a> {
     pub file: Option<&'a Path>,
 }
 
-/// Reports the calibration of folds. Each fold is corrected by the curve of the others, so that the error after it is one on operations that the
-/// curve never saw; a single fold is corrected by its own, which is said.
+/// Reports the calibration of folds. Each fold is corrected by the curve of the others, so that the corrected error is
+/// measured on unseen operations; a single fold is corrected by its own curve, which is reported.
 ///
 /// # Errors
-/// A picture or the file cannot be written.
+/// An image or the file cannot be written.
 pub fn report(session: &dyn Session, folds: &[&[Sample]], wanted: &Wanted<'_>) -> Result<Vec<Figure>> {
     let all = || folds.iter().flat_map(|fold| fold.iter());
     let (score, objectness) = fit(all());
@@ -233,7 +233,7 @@ fn iou(a: [f64; 4], b: [f64; 4]) -> f64 {
     if union > 0.0 { both / union } else { 0.0 }
 }
 
-/// What a limit of the class's probability would do to boxes that are reported: a table, and figures.
+/// Effect of a limit of the class's probability on reported boxes: a table, and figures.
 fn unknown(corrected: &[(Sample, f64, f64)], figure: &mut impl FnMut(String, f64)) -> String {
     let mut rows = vec![
         ["unknown below", "right names", "wrong names", "named, no instrument", "unknown", "of them instruments, %"]

@@ -8,20 +8,20 @@ use serde::Deserialize;
 use crate::error::{Context, FileAction, OnFile, Result, bail, ensure};
 use crate::inputs::shipped_file;
 
-/// Where the file of folds that ships stands in the repository.
+/// Path of the shipped file of folds in the repository.
 pub const SHIPPED: &str = "plugins/tools/training/folds.toml";
 
 /// Folds of whole operations.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Folds {
-    /// Folder of the data set, as it is called in the data folders.
+    /// Folder of the data set, name in the data folders.
     pub data: String,
-    /// Splits that together hold all frames.
+    /// Splits that together contain all frames.
     pub splits: Vec<String>,
     /// Numbers in the names of frames per second of video.
     pub frame_rate_hz: f64,
-    /// Longest gap between two frames of one block, s.
+    /// Maximum gap between two frames of one block, s.
     pub block_s: f64,
     /// Operations that each fold keeps out, by the fold's name.
     pub folds: BTreeMap<String, Vec<String>>,
@@ -30,12 +30,12 @@ pub struct Folds {
 }
 
 impl Folds {
-    /// Whether the file that ships is there: installed packages leave the training out.
+    /// Whether the shipped file is present; installed packages do not contain the training.
     pub fn ships() -> bool {
         shipped_file(Path::new(SHIPPED)).is_some()
     }
 
-    /// Reads `path`, or the file that ships.
+    /// Reads `path`, or the shipped file.
     ///
     /// # Errors
     /// The file is missing or damaged, an operation is in two folds, or there is only one fold.
@@ -43,7 +43,7 @@ impl Folds {
         let path = match path {
             Some(path) => path.to_owned(),
             None => shipped_file(Path::new(SHIPPED))
-                .with_context(|| format!("there is no {SHIPPED} here: name a file of folds with --fold-file"))?,
+                .with_context(|| format!("{SHIPPED} is missing: give a file of folds with --fold-file"))?,
         };
         let text = std::fs::read_to_string(&path).on_file(FileAction::Read, &path)?;
         let mut folds: Self =
@@ -55,15 +55,15 @@ impl Folds {
 
     fn check(&self) -> Result<()> {
         let file = self.path.display();
-        ensure!(self.folds.len() >= 2, "{file}: {} fold; a second one is needed to learn from", self.folds.len());
-        ensure!(self.frame_rate_hz > 0.0, "{file}: frame_rate_hz is {}; it has to be above 0", self.frame_rate_hz);
-        ensure!(self.block_s >= 0.0, "{file}: block_s is {}; it cannot be negative", self.block_s);
+        ensure!(self.folds.len() >= 2, "{file}: {} fold; at least two are needed", self.folds.len());
+        ensure!(self.frame_rate_hz > 0.0, "{file}: frame_rate_hz is {}; it must be above 0", self.frame_rate_hz);
+        ensure!(self.block_s >= 0.0, "{file}: block_s is {}; it must not be negative", self.block_s);
         let mut fold_of: BTreeMap<&str, &str> = BTreeMap::new();
         for (fold, operations) in &self.folds {
             ensure!(!operations.is_empty(), "{file}: fold {fold} has no operation");
             for operation in operations {
                 if let Some(other) = fold_of.insert(operation, fold) {
-                    bail!("{file}: operation {operation} is in fold {other} and in fold {fold}; one has to go");
+                    bail!("{file}: operation {operation} is in fold {other} and in fold {fold}; remove it from one");
                 }
             }
         }
@@ -75,7 +75,7 @@ impl Folds {
         &self.path
     }
 
-    /// The fold that keeps an operation out.
+    /// The fold that holds an operation out.
     pub fn fold_of(&self, operation: &str) -> Option<&str> {
         self.folds.iter().find(|(_, list)| list.iter().any(|o| o == operation)).map(|(fold, _)| fold.as_str())
     }

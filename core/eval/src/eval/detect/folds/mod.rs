@@ -1,4 +1,5 @@
-//! A detector on whole operations that its training never saw, from stored predictions: mAP at 0.5 of each fold, their mean and the worst one.
+//! A detector on whole operations that its training never saw, from stored predictions: mAP at 0.5 of each fold, their
+//! mean and the worst one.
 
 mod calibrate;
 mod file;
@@ -25,7 +26,7 @@ pub struct Options {
     pub predictions: PathBuf,
     /// A second folder of that kind, with which the first one is compared frame by frame.
     pub beside: Option<PathBuf>,
-    /// File of folds; else the one that ships.
+    /// File of folds; default: the shipped one.
     pub fold_file: Option<PathBuf>,
     /// Only these folds, without a mean and a worst one; if empty, all.
     pub only: Vec<String>,
@@ -33,11 +34,12 @@ pub struct Options {
     pub data: Vec<PathBuf>,
     /// The data set itself, instead of the one that the file of folds names.
     pub truth: Option<PathBuf>,
-    /// Folder for pictures of each fold: curves, class confusions, contact sheets of the worst misses; and a reliability diagram of all.
+    /// Folder for images of each fold: curves, class confusions, contact sheets of the worst misses; and a reliability
+    /// diagram of all.
     pub pictures: Option<PathBuf>,
     /// File for the calibration of a model that is exported.
     pub calibration: Option<PathBuf>,
-    /// Share of right boxes, 0 to 1, that the limits of the classes in that file hold.
+    /// Precision, 0 to 1, that the limits of the classes in that file guarantee.
     pub precision: f64,
 }
 
@@ -65,7 +67,7 @@ struct Fold {
     scores: Scores,
     /// COCO's AP at 0.5 per resample and class.
     samples: Vec<Vec<f64>>,
-    /// The same of the folder that it is compared with, on the same resamples, and its scores.
+    /// Scores and resamples of the compared folder, on the same resamples.
     beside: Option<(Scores, Vec<Vec<f64>>)>,
     /// Boxes with their scores, for the calibration.
     boxes: Vec<calibrate::Sample>,
@@ -113,7 +115,7 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     let operations = folds.folds.get(name).map_or(&[][..], Vec::as_slice);
     let truth = truth.only(operations);
     if truth.pictures.is_empty() {
-        bail!("no frame is of the operations {} of fold {name}", operations.join(", "));
+        bail!("no frame belongs to the operations {} of fold {name}", operations.join(", "));
     }
     let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
     let classes = truth.classes.len();
@@ -139,17 +141,17 @@ fn judge_fold(name: &str, folds: &Folds, truth: &Truth, options: &Options, seed:
     Ok(Fold { name: name.to_owned(), frames, blocks: blocks.len(), scores, samples, beside, boxes })
 }
 
-/// What 95 % of the resamples of average precisions at 0.5 lie between, and of their mean.
+/// 95 % intervals of the resampled average precisions at 0.5, and of their mean.
 pub(super) struct Bounds {
     pub classes: Vec<[f64; 2]>,
     pub mean: [f64; 2],
 }
 
-/// Bounds for frames of the data set of the file of folds that ships, drawn from its blocks; none, with a note, where that file is not installed.
-/// `objects` are those of `truth`, picture by picture.
+/// Bounds for frames of the data set of the shipped file of folds, drawn from its blocks; `None`, with a note, if that
+/// file is not installed. `objects` are those of `truth`, image by image.
 ///
 /// # Errors
-/// The file is damaged, or a picture is not named like one of the data set.
+/// The file is damaged, or an image is not named like one of the data set.
 pub(super) fn bounds(
     session: &dyn Session,
     truth: &Truth,
@@ -178,7 +180,7 @@ fn draw(folder: &Path, name: &str, truth: &Truth, finds: &[Vec<Find>], scores: &
     picture::sheet(&file("misses"), truth, finds, Shape::Box, false)
 }
 
-/// Mean over the classes that have truth, per resample.
+/// Mean over the classes with ground truth, per resample.
 fn means(samples: &[Vec<f64>]) -> Vec<f64> {
     samples.iter().map(|classes| mean(classes.iter().copied())).collect()
 }
@@ -191,7 +193,7 @@ pub(super) fn words(value: f64, [low, high]: [f64; 2]) -> String {
     format!("{:.1} ({:.1} to {:.1})", 100.0 * value, 100.0 * low, 100.0 * high)
 }
 
-/// What is reported of the folds together: a value of a set of figures, one per fold.
+/// Aggregates the figures of all folds to one value.
 type Pick = fn(&[f64]) -> f64;
 const TOGETHER: [(&str, Pick); 2] =
     [("mean", |v| mean(v.iter().copied())), ("worst", |v| v.iter().copied().fold(f64::NAN, f64::min))];
@@ -250,7 +252,8 @@ impl Report<'_> {
         table(&rows)
     }
 
-    /// Figures of `measure` for each fold and for all of them, from a value per fold and its resamples; with a line of text.
+    /// Figures of `measure` for each fold and for all of them, from a value per fold and its resamples; with a line of
+    /// text.
     fn folds(&mut self, measure: &str, values: &[f64], drawn: &[Vec<f64>]) -> String {
         for (fold, (value, samples)) in self.folds.iter().zip(values.iter().zip(drawn)) {
             self.figure(&format!("{measure}/fold{}", fold.name), *value, interval(samples.iter().copied()));
@@ -270,8 +273,8 @@ impl Report<'_> {
 /// Scores the predictions of each fold; with a second folder also the gain over it, on the same frames.
 ///
 /// # Errors
-/// A fold is missing or was predicted by a training that saw its frames, a file has the wrong content, the data set is not there, or the
-/// session is cancelled.
+/// A fold is missing or was predicted by a training that saw its frames, a file has the wrong content, the data set is
+/// not there, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     for folder in std::iter::once(&options.predictions).chain(&options.beside) {
         if !folder.is_dir() {
@@ -309,7 +312,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// What the figures are about.
+/// Input of the figures.
 fn input_of(folds: &[Fold], options: &Options) -> String {
     format!(
         "{}, {} frames in {} blocks",

@@ -1,9 +1,9 @@
-//! What a detector found in the operations that its training kept out, as the training script stores it.
+//! Detections in the held-out operations, in the format of the training script.
 //!
-//! `foldN.json` of a folder: `{"format": "panoscope-predictions-1", "fold": "N", "held_out": [operations], "trained_on": [operations],
-//! "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0, y0, x1, y1, objectness], ...], ...}}`. Class is an
-//! index into `classes`, score 0..1, boxes in px of the stored picture; objectness, 0..1, may be missing. Each frame of the held-out operations
-//! is there.
+//! `foldN.json` of a folder: `{"format": "panoscope-predictions-1", "fold": "N", "held_out": [operations],
+//! "trained_on": [operations], "classes": [names], "network": {anything}, "frames": {"v01_002075": [[class, score, x0,
+//! y0, x1, y1, objectness], ...], ...}}`. Class is an index into `classes`, score 0..1, boxes in px of the stored
+//! image; objectness, 0..1, may be missing. Each frame of the held-out operations is there.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,12 +27,12 @@ struct File {
     frames: BTreeMap<String, Vec<Vec<f64>>>,
 }
 
-/// What a file holds, picture by picture.
+/// Content of a file, per image.
 #[derive(Clone, Debug)]
 pub struct Predicted {
-    /// Finds; class numbers are those of the truth.
+    /// Finds; class numbers are those of the ground truth.
     pub finds: Vec<Vec<Find>>,
-    /// Probability that something is there at all, as the network gives it, for each find; NaN where it was not stored.
+    /// Objectness of each find by the network; NaN if it was not stored.
     pub objectness: Vec<Vec<f64>>,
 }
 
@@ -41,11 +41,11 @@ pub fn path_of(folder: &Path, fold: &str) -> PathBuf {
     folder.join(format!("fold{fold}.json"))
 }
 
-/// What was found in the pictures of `truth`, which are those of `fold`.
+/// Reads the detections in the images of `truth`, which are those of `fold`.
 ///
 /// # Errors
-/// The file is missing or damaged, belongs to another fold or to other folds, comes from a training that saw one of the operations,
-/// names a class that the truth does not have, or holds other frames than those of the fold.
+/// The file is missing or damaged, belongs to another fold or to other folds, comes from a training that saw one of the
+/// operations, names a class that the ground truth does not have, or has other frames than the fold.
 pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<Predicted> {
     let path = path_of(folder, fold);
     let file = path.display();
@@ -56,10 +56,10 @@ pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<P
         folder.display()
     );
     let text = std::fs::read_to_string(&path).on_file(FileAction::Read, &path)?;
-    let stored: File = serde_json::from_str(&text)
-        .with_context(|| format!("{file} holds no predictions of a fold; train it again"))?;
+    let stored: File =
+        serde_json::from_str(&text).with_context(|| format!("{file} has no predictions of a fold; train it again"))?;
     ensure!(stored.format == FORMAT, "{file}: its format is `{}`; this program reads `{FORMAT}`", stored.format);
-    ensure!(stored.fold == fold, "{file} holds predictions of fold {}: give it the name of its fold", stored.fold);
+    ensure!(stored.fold == fold, "{file} has predictions of fold {}: rename it to that of its fold", stored.fold);
     check_operations(&stored, folds, fold, &path)?;
     let classes = stored
         .classes
@@ -68,7 +68,7 @@ pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<P
             let class = truth.classes.iter().position(|c| *c == normal_name(name));
             class.with_context(|| {
                 format!(
-                    "{file}: the truth knows no class `{name}`, only {}: train with these classes",
+                    "{file}: the ground truth has no class `{name}`, only {}: train with these classes",
                     truth.classes.join(", ")
                 )
             })
@@ -85,7 +85,7 @@ pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<P
                      only frames of {} belong there",
                     stored.held_out.join(", ")
                 ),
-                _ => bail!("{file}: the truth has no frame {name}: was it made from other data?"),
+                _ => bail!("{file}: the ground truth has no frame {name}: are the predictions from other data?"),
             }
         };
         finds[picture] = Some(rows_of(rows, &classes).with_context(|| format!("{file}, frame {name}"))?);
@@ -104,7 +104,7 @@ pub fn read(folder: &Path, folds: &Folds, fold: &str, truth: &Truth) -> Result<P
     Ok(Predicted { finds, objectness })
 }
 
-/// The training kept out what the file of folds says, and saw nothing of it.
+/// Checks that the training held out the operations of the file of folds.
 fn check_operations(stored: &File, folds: &Folds, fold: &str, path: &Path) -> Result<()> {
     let file = path.display();
     let sorted = |list: &[String]| {
@@ -131,13 +131,13 @@ fn rows_of(rows: &[Vec<f64>], classes: &[usize]) -> Result<(Vec<Find>, Vec<f64>)
         let ([class, score, x0, y0, x1, y1], objectness) = match *row.as_slice() {
             [class, score, x0, y0, x1, y1] => ([class, score, x0, y0, x1, y1], f64::NAN),
             [class, score, x0, y0, x1, y1, objectness] => ([class, score, x0, y0, x1, y1], objectness),
-            _ => bail!("row {}: {} numbers; 6 or 7 were expected", number + 1, row.len()),
+            _ => bail!("row {}: expected 6 or 7 numbers, got {}", number + 1, row.len()),
         };
         let index = (class >= 0.0 && class.fract() == 0.0).then_some(class as usize);
         let Some(&class) = index.and_then(|c| classes.get(c)) else {
             bail!("row {}: class {class} of {} classes", number + 1, classes.len());
         };
-        ensure!((0.0..=1.0).contains(&score), "row {}: score {score}; 0 to 1 was expected", number + 1);
+        ensure!((0.0..=1.0).contains(&score), "row {}: score {score} is not between 0 and 1", number + 1);
         ensure!(
             objectness.is_nan() || (0.0..=1.0).contains(&objectness),
             "row {}: objectness {objectness}; 0 to 1 was expected",

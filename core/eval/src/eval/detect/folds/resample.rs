@@ -1,9 +1,10 @@
 //! Intervals by the bootstrap (Efron and Tibshirani 1993, chapter 13), drawn from blocks of frames.
 //!
-//! Frames that follow each other within seconds show the same instruments in nearly the same place and light, so that drawing single frames would
-//! give intervals that are several times too narrow (Künsch 1989). Frames of one operation are therefore drawn in blocks, whole runs of
-//! frames without a longer gap, each operation as many blocks as it has. Operations are not drawn: three are too few. The intervals say how
-//! far chance in the choice of frames moves a figure, not how different the next operation may be.
+//! Frames that follow each other within seconds show the same instruments in nearly the same position and light, so
+//! that drawing single frames would give intervals several times too narrow (Künsch 1989). Frames of one operation are
+//! therefore drawn in blocks, whole runs of frames without a longer gap, each operation as many blocks as it has.
+//! Operations are not drawn, because three are too few. The intervals show the effect of the random choice of frames,
+//! not the difference of another operation.
 
 use panoscope_base::random::SplitMix64;
 
@@ -16,14 +17,14 @@ use panoscope_imaging::detect::Ranking;
 /// Redrawn samples per figure.
 pub const RESAMPLES: usize = 1000;
 
-/// Blocks of pictures (indices), operation by operation.
+/// Blocks of images (indices), operation by operation.
 pub struct Blocks(Vec<Vec<Vec<usize>>>);
 
 impl Blocks {
     /// Cuts the frames of each operation where the gap is longer than the folds allow.
     ///
     /// # Errors
-    /// The name of a picture does not end with `_` and a number.
+    /// The name of an image does not end with `_` and a number.
     pub fn of(pictures: &[Picture], folds: &Folds) -> Result<Self> {
         let gap = folds.frame_rate_hz * folds.block_s;
         let mut frames = pictures
@@ -55,12 +56,12 @@ impl Blocks {
         Ok(Self(operations))
     }
 
-    /// How many blocks there are.
+    /// Number of blocks.
     pub fn len(&self) -> usize {
         self.0.iter().map(Vec::len).sum()
     }
 
-    /// How often each of `pictures` pictures is drawn.
+    /// Number of times that each of `pictures` images is drawn.
     fn draw(&self, random: &mut SplitMix64, pictures: usize) -> Vec<u32> {
         let mut times = vec![0; pictures];
         for blocks in &self.0 {
@@ -74,7 +75,8 @@ impl Blocks {
     }
 }
 
-/// AP at 0.5 of each class in [`RESAMPLES`] redrawn samples, for several rankings of the same pictures: all get the same draws.
+/// AP at 0.5 of each class in [`RESAMPLES`] redrawn samples, for several rankings of the same images: all get the same
+/// draws.
 pub fn resampled(rankings: &[Ranking], blocks: &Blocks, pictures: usize, seed: u64) -> Vec<Vec<Vec<f64>>> {
     let mut random = SplitMix64(seed);
     let draws: Vec<Vec<u32>> = (0..RESAMPLES).map(|_| blocks.draw(&mut random, pictures)).collect();
@@ -82,7 +84,7 @@ pub fn resampled(rankings: &[Ranking], blocks: &Blocks, pictures: usize, seed: u
     rankings.iter().map(of).collect()
 }
 
-/// Bounds that 95 % of `values` lie between; NaN without a finite value.
+/// 95 % interval of `values`; NaN without a finite value.
 pub fn interval(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let values: Vec<f64> = values.collect();
     [percentile(&values, 0.025), percentile(&values, 0.975)]

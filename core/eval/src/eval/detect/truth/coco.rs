@@ -1,4 +1,4 @@
-//! COCO: one JSON file for all pictures.
+//! COCO: one JSON file for all images.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -33,12 +33,12 @@ struct Category {
     name: String,
 }
 
-/// An annotation, of the truth or as the node `write_table` writes what was found.
+/// An annotation, of the ground truth, or of detections written by the node `write_table`.
 #[derive(Deserialize)]
 pub struct Annotation {
-    /// Picture.
+    /// Number of the image.
     pub image_id: u64,
-    /// Class.
+    /// Number of the class.
     pub category_id: u64,
     /// Left, top, width, height.
     pub bbox: [f64; 4],
@@ -61,13 +61,13 @@ pub enum Segmentation {
 }
 
 impl Segmentation {
-    /// The mask in a picture of `width` x `height` px.
+    /// The mask in an image of `width` x `height` px.
     pub fn mask(&self, width: usize, height: usize) -> Result<Mask> {
         // Compared before a mask of that size is made.
         if let Self::Runs { size, .. } | Self::Packed { size, .. } = self
             && *size != [height, width]
         {
-            bail!("a mask of {}x{} in a picture of {width}x{height}", size[1], size[0]);
+            bail!("a mask of {}x{} px belongs to an image of {width}x{height} px", size[1], size[0]);
         }
         let mask = match self {
             Self::Runs { counts, .. } => Mask::from_runs(width, height, counts),
@@ -81,13 +81,13 @@ impl Segmentation {
                 Some(mask)
             }
         };
-        mask.context("run lengths that do not cover the picture")
+        mask.context("the run lengths do not cover the image")
     }
 }
 
-/// What a file of found boxes holds: per picture id its annotations, and the class names by id.
+/// Content of a file of found boxes: per image id its annotations, and the class names by id.
 pub struct FoundFile {
-    /// By picture.
+    /// By image.
     pub by_image: BTreeMap<u64, Vec<Annotation>>,
     /// By class.
     pub names: BTreeMap<u64, String>,
@@ -108,7 +108,7 @@ fn parse(path: &Path) -> Result<File> {
     serde_json::from_str(&text).with_context(|| format!("{} is neither a COCO nor a VIA file", path.display()))
 }
 
-/// Reads the ground truth; each picture is in the first of `folders` that has it.
+/// Reads the ground truth; each image is in the first of `folders` that has it.
 pub fn read(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     let file = parse(path)?;
     let mut truth = Truth::default();
@@ -129,7 +129,7 @@ pub fn read(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     for a in file.annotations {
         let (Some(&at), Some(&class)) = (place.get(&a.image_id), classes.get(&a.category_id)) else {
             bail!(
-                "{}: an annotation of picture {} and category {}, which it does not list",
+                "{}: an annotation refers to image {} and category {}, which the file does not list",
                 path.display(),
                 a.image_id,
                 a.category_id

@@ -1,4 +1,4 @@
-//! labelme: one JSON file a picture, with polygons. Polygons of one label and one `group_id` are one object.
+//! labelme: one JSON file per image, with polygons. Polygons of one label and one `group_id` are one object.
 
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,7 @@ struct Shape {
     shape_type: String,
 }
 
-/// The picture that a file speaks of: as it names it, or of its own name in the folders nearby.
+/// The image of a file: by the path in it, or by the file's own name in nearby folders.
 fn picture_of(file: &Path, named: &str, images: Option<&Path>) -> Option<PathBuf> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let stem = file.file_stem()?.to_string_lossy().into_owned();
@@ -50,13 +50,9 @@ pub fn read(folder: &Path, images: Option<&Path>) -> Result<Truth> {
     for path in files(folder, &["json"]) {
         let text = std::fs::read_to_string(&path).on_file(FileAction::Read, &path)?;
         let file: File =
-            serde_json::from_str(&text).with_context(|| format!("{} is no labelme file", path.display()))?;
+            serde_json::from_str(&text).with_context(|| format!("{} is not a labelme file", path.display()))?;
         let Some(picture) = picture_of(&path, &file.image_path, images) else {
-            bail!(
-                "the picture of {} ({}) is not there: name its folder with --images",
-                path.display(),
-                file.image_path
-            );
+            bail!("the image of {} ({}) is missing: give its folder with --images", path.display(), file.image_path);
         };
         let (width, height) = size_of(&picture)?;
         let mut groups: Vec<(usize, Option<i64>, Mask)> = Vec::new();

@@ -1,4 +1,4 @@
-//! True boxes and outlines from the forms that people keep them in: VOC XML, COCO JSON, labelme JSON, VIA JSON, YOLO text.
+//! True boxes and outlines in common formats: VOC XML, COCO JSON, labelme JSON, VIA JSON, YOLO text.
 
 mod coco;
 mod labelme;
@@ -16,38 +16,38 @@ use crate::session::Session;
 pub use coco::read_found;
 pub use panoscope_imaging::detect::normal_name;
 
-/// A picture with what is in it.
+/// An image with its objects.
 #[derive(Clone, Debug)]
 pub struct Picture {
     /// The file.
     pub path: PathBuf,
-    /// Columns of the picture.
+    /// Columns of the image.
     pub width: usize,
-    /// Rows of the picture.
+    /// Rows of the image.
     pub height: usize,
-    /// What is in it.
+    /// Objects in the image.
     pub objects: Vec<Object>,
 }
 
 impl Picture {
-    /// Name without folder and ending.
+    /// Name without folder and extension.
     pub fn stem(&self) -> String {
         self.path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned())
     }
 
-    /// The operation it comes from: what stands before the last underscore of its name, `v02` of `v02_001250`.
+    /// The operation it comes from: the text before the last underscore of its name, `v02` of `v02_001250`.
     pub fn operation(&self) -> String {
         let stem = self.stem();
         stem.rsplit_once('_').map_or(stem.clone(), |(operation, _)| operation.to_owned())
     }
 }
 
-/// Pictures and the classes that their truth names.
+/// Images and the classes that their truth names.
 #[derive(Clone, Debug, Default)]
 pub struct Truth {
     /// Class names, normalised.
     pub classes: Vec<String>,
-    /// Pictures in order.
+    /// Images in order.
     pub pictures: Vec<Picture>,
 }
 
@@ -61,7 +61,7 @@ impl Truth {
         })
     }
 
-    /// Absolute paths of the pictures, a line each, as `capture` takes them.
+    /// Absolute paths of the images, one per line, as `capture` accepts them.
     pub fn file_list(&self) -> String {
         let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
         self.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect()
@@ -72,13 +72,13 @@ impl Truth {
         self.pictures.iter().any(|p| p.objects.iter().any(|o| o.mask.is_some()))
     }
 
-    /// Only the pictures of these operations.
+    /// Only the images of these operations.
     pub fn only(&self, operations: &[String]) -> Self {
         let wanted = |p: &&Picture| operations.contains(&p.operation());
         Self { classes: self.classes.clone(), pictures: self.pictures.iter().filter(wanted).cloned().collect() }
     }
 
-    /// Classes in an order of their own: `order` first, as far as they are there or wanted, then the others by name.
+    /// Reorders the classes: those in `order` first, if present, then the others by name.
     pub fn ordered(mut self, order: &[String]) -> Self {
         let mut classes: Vec<String> = order.iter().map(|name| normal_name(name)).collect();
         let mut others: Vec<String> = self.classes.iter().filter(|c| !classes.contains(c)).cloned().collect();
@@ -93,27 +93,27 @@ impl Truth {
     }
 }
 
-/// Width and height of a picture file.
+/// Width and height of an image file.
 fn size_of(path: &Path) -> Result<(usize, usize)> {
     let (w, h) = image::image_dimensions(path).on_file(FileAction::Read, path)?;
     if u64::from(w) * u64::from(h) > MAX_PIXELS {
-        bail!("{}: {w}x{h} px are more than the {MAX_PIXELS} of the largest picture", path.display());
+        bail!("{}: {w}x{h} px exceed the limit of {MAX_PIXELS} px", path.display());
     }
     Ok((w as usize, h as usize))
 }
 
-/// Pixels of the largest picture: a mask has a bit for each.
+/// Maximum number of pixels of an image; a mask has a bit for each.
 const MAX_PIXELS: u64 = 1 << 28;
 
 const PICTURES: [&str; 5] = ["jpg", "jpeg", "png", "JPG", "PNG"];
 
-/// The picture called `stem` in the first of `folders` that has one.
+/// The image called `stem` in the first of `folders` that has one.
 fn picture_called(folders: &[PathBuf], stem: &str) -> Option<PathBuf> {
     let all = folders.iter().flat_map(|f| PICTURES.iter().map(move |e| f.join(format!("{stem}.{e}"))));
     all.into_iter().find(|p| p.is_file())
 }
 
-/// Files of a folder with one of these endings, by name.
+/// Files of a folder with one of these extensions, by name.
 fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let has = |p: &PathBuf| p.extension().is_some_and(|e| endings.iter().any(|w| e.eq_ignore_ascii_case(w)));
@@ -122,7 +122,7 @@ fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     found
 }
 
-/// One file for all pictures: of VIA, or of COCO with pictures in one of `folders`.
+/// One file for all images: of VIA, or of COCO with images in one of `folders`.
 fn one_file(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     let value: Option<serde_json::Value> = serde_json::from_str(&text).ok();
@@ -132,7 +132,7 @@ fn one_file(path: &Path, folders: &[PathBuf]) -> Result<Truth> {
     }
 }
 
-/// The COCO or VIA file of a folder: as COCO, Roboflow, CVAT and `eval` itself call it.
+/// The COCO or VIA file of a folder: under the names of COCO, Roboflow, CVAT and `eval` itself.
 fn file_in(folder: &Path, split: Option<&str>) -> Option<PathBuf> {
     let names = match split {
         Some(s) => vec![
@@ -149,15 +149,15 @@ fn file_in(folder: &Path, split: Option<&str>) -> Option<PathBuf> {
     names.iter().map(|name| folder.join(name)).find(|file| file.is_file())
 }
 
-/// Reads whichever form `path` is or holds. `split` chooses a list of VOC, COCO or YOLO; nothing takes all.
+/// Reads `path` in any of the formats. `split` selects a list of VOC, COCO or YOLO; `None` for all.
 ///
 /// # Errors
-/// There is no ground truth, it is damaged, or it has no picture or no object at all.
+/// There is no ground truth, it is damaged, or it has no image or no object at all.
 pub fn read(session: &dyn Session, path: &Path, split: Option<&str>, images: Option<&Path>) -> Result<Truth> {
     let truth = read_any(session, path, split, images)?;
     if truth.pictures.iter().all(|picture| picture.objects.is_empty()) {
         bail!(
-            "{}: no object in {} pictures: nothing can be compared with it; are the labels in another folder?",
+            "{}: no labelled object in {} images; are the labels in another folder?",
             path.display(),
             truth.pictures.len()
         );
@@ -171,7 +171,7 @@ fn read_any(session: &dyn Session, path: &Path, split: Option<&str>, images: Opt
         return one_file(path, &[folder.to_owned(), folder.join("images")]);
     }
     if !path.is_dir() {
-        bail!("{} is not there: give a COCO or VIA file, or a folder of VOC, labelme or YOLO truth", path.display());
+        bail!("{} does not exist: give a COCO or VIA file, or a folder of VOC, labelme or YOLO files", path.display());
     }
     let annotations = path.join("Annotations");
     if annotations.is_dir() {
@@ -198,7 +198,7 @@ fn read_any(session: &dyn Session, path: &Path, split: Option<&str>, images: Opt
     )
 }
 
-/// An object from an outline; `None` when the outline holds no pixel.
+/// An object from an outline; `None` if the outline has no pixel.
 fn outlined(class: usize, mask: Mask, ignored: bool) -> Option<Object> {
     (mask.area > 0).then(|| Object { class, bbox: mask.bounds(), mask: Some(mask), ignored })
 }

@@ -5,7 +5,7 @@ use super::*;
 use crate::error::chain;
 use crate::session::Silent;
 
-/// A folder of the test's own with `pictures`, each 20 x 10 px.
+/// A separate folder for the test with `pictures`, each 20 x 10 px.
 fn folder(name: &str, pictures: &[&str]) -> PathBuf {
     let path = std::env::temp_dir().join(format!("panoscope_truth_{name}_{}", std::process::id()));
     let _ = fs::remove_dir_all(&path);

@@ -1,7 +1,9 @@
-//! VIA, the VGG Image Annotator (Dutta and Zisserman 2019): one JSON file for all pictures, with polygons, polylines, rectangles, circles and ellipses.
+//! VIA, the VGG Image Annotator (Dutta and Zisserman 2019): one JSON file for all images, with polygons, polylines,
+//! rectangles, circles and ellipses.
 //!
-//! Read as version 2 saves projects (`_via_img_metadata`) and exports annotations (regions are a list), and as version 1 exports them (regions are a map
-//! with numbers for keys). The class is what the only region attribute says, or the one called `class`, `label`, `name`, `type`, `tool` or `instrument`.
+//! Reads projects of version 2 (`_via_img_metadata`) and exported annotations (regions are a list), and exports of
+//! version 1 (regions are a map with numbers as keys). The class is the value of the only region attribute, or of the
+//! one called `class`, `label`, `name`, `type`, `tool` or `instrument`.
 
 use std::path::Path;
 
@@ -12,12 +14,12 @@ use crate::error::{Context, Result, bail};
 use panoscope_imaging::detect::Mask;
 
 const PROJECT: &str = "_via_img_metadata";
-/// Attributes that name a class where a region has several.
+/// Attributes that name a class if a region has several.
 const CLASS: [&str; 6] = ["class", "label", "name", "type", "tool", "instrument"];
 /// Corners that circles and ellipses are drawn with.
 const ROUND: usize = 96;
 
-/// The pictures of a file, if it is one of VIA.
+/// The images of a file, if it is one of VIA.
 pub fn pictures(value: &Value) -> Option<&Map<String, Value>> {
     let map = value.as_object()?;
     if let Some(project) = map.get(PROJECT) {
@@ -27,10 +29,11 @@ pub fn pictures(value: &Value) -> Option<&Map<String, Value>> {
     (!map.is_empty() && map.values().all(is_picture)).then_some(map)
 }
 
-/// Reads the pictures of `path`, which lie in `folder` or in `images` in it. Each error names the file, the picture and the region, counted from 1.
+/// Reads the images of `path`, which lie in `folder` or in `images` in it. Each error names the file, the image and
+/// the region, counted from 1.
 ///
 /// # Errors
-/// A picture that is not there, a region of an unknown or damaged shape, or without a class.
+/// An image is missing, a region of an unknown or damaged shape, or without a class.
 pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result<Truth> {
     let mut truth = Truth::default();
     for (key, entry) in pictures {
@@ -40,7 +43,7 @@ pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result
         let at = |what: &str| format!("{}: picture `{name}`{what}", path.display());
         let places = [folder.join(name), folder.join("images").join(name)];
         let Some(file) = places.into_iter().find(|place| place.is_file()) else {
-            bail!("{} is not in {}: name its folder with --images", at(""), folder.display());
+            bail!("{} is not in {}: give its folder with --images", at(""), folder.display());
         };
         let (width, height) = size_of(&file)?;
         let regions: Vec<&Value> = match entry.get("regions") {
@@ -64,7 +67,7 @@ pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result
             mask.add_polygon(&corners);
             match outlined(class, mask, false) {
                 Some(object) => objects.push(object),
-                None => bail!("{}: its outline holds no pixel of the {width}x{height} of the picture", here()),
+                None => bail!("{}: its outline has no pixel inside the image of {width}x{height} px", here()),
             }
         }
         truth.pictures.push(Picture { path: file, width, height, objects });
@@ -76,7 +79,7 @@ pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result
 fn class_of(region: &Value) -> Result<String> {
     let attributes = region.get("region_attributes").and_then(Value::as_object);
     let attributes =
-        attributes.filter(|all| !all.is_empty()).context("it has no `region_attributes`: name its class")?;
+        attributes.filter(|all| !all.is_empty()).context("it has no `region_attributes`: add its class")?;
     let known = || CLASS.iter().find_map(|name| attributes.iter().find(|(key, _)| key.eq_ignore_ascii_case(name)));
     let (key, value) = match attributes.iter().next() {
         Some(only) if attributes.len() == 1 => only,
@@ -94,13 +97,13 @@ fn class_of(region: &Value) -> Result<String> {
                 boxes.iter().filter(|(_, on)| on.as_bool() == Some(true)).map(|(name, _)| name.as_str()).collect();
             match ticked[..] {
                 [one] => one.to_owned(),
-                _ => bail!("of the boxes of `{key}` {} are ticked, one is needed", ticked.len()),
+                _ => bail!("{} boxes of `{key}` are ticked; tick exactly one", ticked.len()),
             }
         }
-        _ => bail!("`{key}` is no name of a class"),
+        _ => bail!("`{key}` is not the name of a class"),
     };
     if name.is_empty() || name == "undefined" {
-        bail!("`{key}` is empty: name its class");
+        bail!("`{key}` is empty: enter its class");
     }
     Ok(name)
 }
@@ -115,7 +118,7 @@ fn corners(region: &Value) -> Result<Option<Vec<[f64; 2]>>> {
     };
     let length = |name: &str| -> Result<f64> {
         let value = number(name)?;
-        if value > 0.0 { Ok(value) } else { bail!("`{name}` of its {kind} is {value}: it has to be above 0") }
+        if value > 0.0 { Ok(value) } else { bail!("`{name}` of its {kind} is {value}; it must be above 0") }
     };
     let round = |rx: f64, ry: f64, turn: f64| -> Result<Vec<[f64; 2]>> {
         let (cx, cy) = (number("cx")?, number("cy")?);

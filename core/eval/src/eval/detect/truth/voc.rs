@@ -1,4 +1,4 @@
-//! VOC: one XML file a picture, lists of names in `ImageSets`.
+//! VOC: one XML file per image, lists of names in `ImageSets`.
 
 use std::path::Path;
 
@@ -43,14 +43,14 @@ pub fn read(session: &dyn Session, folder: &Path, split: Option<&str>) -> Result
         };
         let text = std::fs::read_to_string(&file).on_file(FileAction::Read, &file)?;
         let picture =
-            one(&mut truth, &text, path).with_context(|| format!("{} is no VOC annotation", file.display()))?;
+            one(&mut truth, &text, path).with_context(|| format!("{} is not a VOC annotation", file.display()))?;
         truth.pictures.push(picture);
     }
     if absent > 0 {
         note!(session, "{}: {absent} of {} named pictures are not there", folder.display(), names.len());
     }
     if truth.pictures.is_empty() {
-        bail!("{} holds no picture with an annotation", folder.display());
+        bail!("{} has no image with an annotation", folder.display());
     }
     Ok(truth)
 }
@@ -66,7 +66,7 @@ fn one(truth: &mut Truth, text: &str, path: std::path::PathBuf) -> Result<Pictur
         let [x0, y0, x1, y1] = object.corners;
         let bbox = [x0 * sx, y0 * sy, (x1 - x0) * sx, (y1 - y0) * sy];
         if bbox.iter().any(|px| !px.is_finite()) {
-            bail!("the <bndbox> of `{}` reaches to infinity", object.name);
+            bail!("the <bndbox> of `{}` has an infinite size", object.name);
         }
         let class = truth.class(&object.name);
         objects.push(Object { class, bbox, mask: None, ignored: object.is_difficult });

@@ -1,5 +1,6 @@
-//! YOLO: `images/SPLIT`, `labels/SPLIT/NAME.txt` (Ultralytics) or `SPLIT/images`, `SPLIT/labels/NAME.txt` (Roboflow) with class, centre and size in
-//! shares of the picture, or class and a polygon; names in `data.yaml`, `classes.txt` or numbers.
+//! YOLO: `images/SPLIT`, `labels/SPLIT/NAME.txt` (Ultralytics) or `SPLIT/images`, `SPLIT/labels/NAME.txt` (Roboflow)
+//! with class, centre and size in shares of the image, or class and a polygon; names in `data.yaml`, `classes.txt` or
+//! numbers.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +21,7 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
     let part = |kind: &str| folder_of(folder, kind, split);
     let pictures = files(&part("images"), &["jpg", "jpeg", "png"]);
     if pictures.is_empty() {
-        bail!("{} holds no pictures; with --split it may be a folder in it", part("images").display());
+        bail!("{} has no images; choose a subfolder with --split", part("images").display());
     }
     let mut truth = Truth::default();
     let names = labels::yolo_names(folder);
@@ -60,7 +61,7 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
                 YoloShape::Box([x, y, bw, bh]) => {
                     let bbox = [x * w, y * h, bw * w, bh * h];
                     if bbox.iter().any(|px| !px.is_finite()) {
-                        bail!("{}:{}: the box reaches to infinity", label.display(), object.line);
+                        bail!("{}:{}: the box has an infinite size", label.display(), object.line);
                     }
                     objects.push(Object { class, bbox, mask: None, ignored: false });
                 }

@@ -1,4 +1,4 @@
-//! How the arm follows: fast, in the demand's direction, and not beyond where it can still stop.
+//! Tests of following: fast, in the demand's direction, and not beyond where it can still stop.
 
 use super::*;
 use crate::campaign;

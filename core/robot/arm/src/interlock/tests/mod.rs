@@ -1,4 +1,5 @@
-//! The interlock's rules, one by one: with the campaign, every branch of its code runs, and nearly every change of it makes one of these fail.
+//! The interlock's rules, one by one: with the campaign, every branch of its code runs, and nearly every change of it
+//! makes one of these fail.
 
 mod brake;
 mod following;
@@ -24,7 +25,8 @@ pub fn changed(replaced: &[(&str, &str)]) -> Chain {
     Chain::from_urdf(&text).expect("an arm")
 }
 
-/// An arm whose fifth joint turns about the trocar: the tube tilts, with its pivot at rest and 100 mm behind the trocar.
+/// An arm whose fifth joint turns about the trocar: the tube tilts, with its pivot at rest and 100 mm behind the
+/// trocar.
 pub fn about_trocar() -> Chain {
     changed(&[("0.42 0 0.21", "0.42 0 0.48"), ("0 0 -0.3\"", "0 0 -0.02\"")])
 }

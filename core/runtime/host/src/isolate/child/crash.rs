@@ -1,4 +1,5 @@
-//! Names the node that crashes the process: the handler marks its lane, then the signal ends the process as it would have.
+//! Names the node that crashes the process: the handler marks its lane, then the signal ends the process as without the
+//! handler.
 
 use std::ffi::{c_int, c_void};
 
@@ -20,7 +21,7 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, _: *mut c_void) 
     }
 }
 
-/// Handles crashes from now on.
+/// Installs the handlers.
 pub(super) fn install() {
     for signal in [libc::SIGSEGV, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGABRT] {
         // SAFETY: plain system calls. The handler touches a thread-local without destructor and an atomic of a mapping that stays.

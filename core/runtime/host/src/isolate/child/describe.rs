@@ -9,7 +9,7 @@ use crate::isolate::description;
 use crate::isolate::lane::MAX_MESSAGE_BYTES;
 use crate::isolate::wire::{BadMessage, MAX_PROBLEM_BYTES, MAX_PROBLEMS, Reader, Writer};
 
-/// Writes whether the plugin could be loaded, and its node types or why not.
+/// Writes whether the plugin could be loaded, followed by its node types or the error.
 pub(super) fn describe(child: &Child, reader: &mut Reader<'_>, out: &mut Vec<u8>) -> Result<(), BadMessage> {
     let plugin = reader.u32()?;
     let node_types = child.node_types(plugin);
@@ -31,7 +31,7 @@ pub(super) fn describe(child: &Child, reader: &mut Reader<'_>, out: &mut Vec<u8>
     Ok(())
 }
 
-/// What a node reports, as bytes.
+/// Encoded problems that a node reports.
 #[derive(Default)]
 struct Problems {
     count: usize,
@@ -54,7 +54,7 @@ unsafe extern "C" fn invalid(call: *mut c_void, severity: u32, param: u32, messa
     }
 }
 
-/// Runs a node type's check of parameters and wiring; writes its status and what it reports.
+/// Runs a node type's check of parameters and wiring; writes its status and problems.
 pub(super) fn validate(child: &Child, reader: &mut Reader<'_>, out: &mut Vec<u8>) -> Result<(), BadMessage> {
     let (plugin, index, flags) = (reader.u32()?, reader.u32()?, reader.u32()?);
     let (node_id, graph_dir, params) = (reader.bytes()?, reader.bytes()?, reader.params()?);

@@ -1,4 +1,4 @@
-//! One instance in the child: the requests of its lane, one after the other.
+//! One instance in the child: serves the requests of its lane in order.
 
 use std::cell::Cell;
 use std::ffi::c_void;
@@ -12,9 +12,9 @@ use super::{Child, EXIT_PROTOCOL, describe, leave, pools};
 use crate::isolate::lane::{Lost, Side};
 use crate::isolate::wire::{BadMessage, Kind, Params, Reader, Writer};
 
-/// How long a process that describes plugins waits for the next question.
+/// Maximum wait of a describing process for the next question.
 const MAX_IDLE: Duration = Duration::from_secs(10);
-/// Longest position of a source that is sent with every tick.
+/// Maximum length of a position of a source, bytes, that is sent with every tick.
 const MAX_POSITION_BYTES: usize = 16 << 10;
 
 thread_local! {
@@ -31,7 +31,7 @@ pub fn opening() -> Option<&'static NodeType> {
 struct Instance<'c> {
     child: &'c Child,
     lane: &'c ChildLane,
-    /// `None` before it is open.
+    /// The node type of the instance; `None` before it is open.
     node_type: Option<&'static NodeType>,
     raw: *mut c_void,
     host: abi::Host,
@@ -43,9 +43,9 @@ struct Instance<'c> {
     outputs: Vec<Frame>,
     /// Formats of each output, one bit each.
     formats: Vec<u32>,
-    /// Where a source is after the last call; empty for none.
+    /// Position of a source after the last call; empty for none.
     position: Vec<u8>,
-    /// The tick of the last call as the node left it.
+    /// The tick of the last call as changed by the node.
     made_at: abi::Tick,
 }
 
@@ -283,7 +283,7 @@ impl<'c> Instance<'c> {
         Ok(status)
     }
 
-    /// The tick and the outputs as the node left them, and where a source is.
+    /// Writes the tick and the outputs as changed by the node, and the position of a source.
     fn write_outputs(&self, out: &mut Vec<u8>) {
         let mut out = Writer(out);
         out.tick(&self.made_at).u64(self.outputs.len() as u64);

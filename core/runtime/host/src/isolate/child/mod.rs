@@ -1,4 +1,5 @@
-//! The child's side: receives memory and plugins from the host and runs the calls of each instance on a thread of its own.
+//! The child's side: receives memory and plugins from the host and runs the calls of each instance on a separate
+//! thread.
 
 mod crash;
 mod describe;
@@ -32,14 +33,14 @@ use crate::isolate::{EXIT_CONFINED, PROTOCOL};
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct LoadError {
-    /// What the loader says.
+    /// The loader's message.
     pub message: String,
 }
 
 /// Loads a plugin: a path to its bytes, and its file for messages. Returns its node types in order.
 pub type LoadFn = fn(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>, LoadError>;
 
-/// Why a node type is not there.
+/// A node type that is not available.
 #[derive(Clone, Debug, thiserror::Error)]
 pub(super) enum NoNodeType {
     /// The host has not sent its plugin.
@@ -48,18 +49,19 @@ pub(super) enum NoNodeType {
     /// Its plugin cannot be loaded.
     #[error(transparent)]
     Load(#[from] LoadError),
-    /// Its plugin has fewer node types.
+    /// Its index is beyond the plugin's node types.
     #[error("its plugin has no such node type")]
     NoType,
 }
 
-/// Exit status when the messages of the host are malformed: it is of another build.
+/// Exit status when messages of the host are malformed, because it is of another build.
 pub(super) const EXIT_PROTOCOL: i32 = 86;
-/// The message with a plugin is sent before the first node of it opens; the main thread may not have read it yet.
+/// Maximum wait for a plugin. Its message is sent before its first node opens, but the main thread may not have read it
+/// yet.
 const MAX_WAIT: Duration = Duration::from_secs(10);
-/// Longest wait at once of [`wait_while`].
+/// Maximum single wait in [`wait_while`].
 const MAX_SLICE: Duration = Duration::from_millis(10);
-/// As much as the main thread has: some libraries need it when they are opened.
+/// Stack size of the main thread, which some libraries need when they open.
 const STACK_BYTES: usize = 8 << 20;
 
 /// Ends the process without running anything else.
@@ -70,8 +72,8 @@ pub(super) fn leave(code: i32) -> ! {
     }
 }
 
-/// Waits while `missing` is true, for about `limit` in which this process runs. A time in which the machine stalls or sleeps does not count,
-/// because the thread that is waited for does not run either.
+/// Waits while `missing` is true, for about `limit` in which this process runs. Time in which the machine stalls or
+/// sleeps does not count, because the awaited thread does not run either.
 pub(super) fn wait_while<'g, T>(
     changed: &Condvar,
     mut guard: MutexGuard<'g, T>,
@@ -96,7 +98,7 @@ struct Plugin {
     loaded: Option<Result<Vec<&'static NodeType>, LoadError>>,
 }
 
-/// What all lanes share.
+/// State shared by all lanes.
 pub(super) struct Child {
     load: LoadFn,
     plugins: Mutex<HashMap<u32, Plugin>>,
@@ -112,7 +114,7 @@ impl Child {
         types.get(index as usize).copied().ok_or(NoNodeType::NoType)
     }
 
-    /// The node types of a plugin, which is loaded when they are asked for first.
+    /// The node types of a plugin, which is loaded on first use.
     fn node_types(&self, plugin: u32) -> Result<Vec<&'static NodeType>, NoNodeType> {
         let plugins = self.plugins.lock().unwrap_or_else(PoisonError::into_inner);
         let missing = |plugins: &mut HashMap<u32, Plugin>| !plugins.contains_key(&plugin);
@@ -125,7 +127,7 @@ impl Child {
     }
 }
 
-/// Runs the child until the host is gone. Standard input is the socket.
+/// Runs the child until the host closes the socket. Standard input is the socket.
 pub fn serve(load: LoadFn) -> ! {
     match start(load) {
         Ok((child, socket)) => match run(&child, &socket) {
@@ -172,7 +174,7 @@ fn start(load: LoadFn) -> std::io::Result<(Arc<Child>, OwnedFd)> {
         Ok((threads, memory_bytes, deny))
     };
     let (threads, memory_bytes, deny) =
-        hello().map_err(|_| std::io::Error::other("the programs are of different versions; install both again"))?;
+        hello().map_err(|_| std::io::Error::other("the programs have different versions; install both again"))?;
     let limit = |resource, most: u64| {
         let limit = libc::rlimit { rlim_cur: most, rlim_max: most };
         // SAFETY: only reads the struct. Where a limit cannot be set, the system's own holds.
@@ -196,7 +198,7 @@ fn start(load: LoadFn) -> std::io::Result<(Arc<Child>, OwnedFd)> {
     Ok((Arc::new(Child { load, plugins, arrived: Condvar::new(), pool, host }), socket))
 }
 
-/// Receives what the host sends until it is gone.
+/// Receives messages until the host closes the socket.
 fn run(child: &Arc<Child>, socket: &OwnedFd) -> Result<(), BadMessage> {
     loop {
         let (message, file) = socket::receive(socket.as_fd()).map_err(|_| BadMessage)?;

@@ -1,4 +1,4 @@
-//! Frame memory in the child: pools of the host, mapped when the first frame of them comes.
+//! Frame memory in the child: pools of the host, mapped when their first frame arrives.
 
 use std::fs::File;
 use std::os::fd::AsRawFd;
@@ -11,7 +11,8 @@ use panoscope_engine::memory::MAX_POOLS;
 
 use super::wait_while;
 
-/// The message with a pool's file is sent before the first frame of it; the main thread may not have read it yet.
+/// Maximum wait for a pool's file. Its message is sent before its first frame, but the main thread may not have read it
+/// yet.
 const MAX_WAIT: Duration = Duration::from_secs(10);
 
 struct Mapped {

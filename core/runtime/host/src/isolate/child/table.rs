@@ -1,7 +1,7 @@
 //! The functions of the host as plugins in the child call them.
 //!
-//! What needs no result at once is written down and goes to the host in front of the next message of the lane; what the host sent with the call
-//! (buffers, ages, the clock) is answered here; the rest is asked for, which takes a message there and back.
+//! Calls without a result are deferred and sent in front of the next message of the lane. Calls whose answer came with
+//! the request (buffers, ages, the clock) are answered here. All others take a round trip to the host.
 
 use std::cell::Cell;
 use std::ffi::c_void;
@@ -16,9 +16,9 @@ use super::pools;
 use crate::isolate::lane::{Lane, Side};
 use crate::isolate::wire::{BadMessage, Kind, MAX_TEXT_BYTES, Reader, Writer};
 
-/// Bytes of a saved state that one message takes.
+/// Maximum number of bytes of a saved state in one message.
 const STATE_PART_BYTES: usize = 512 << 10;
-/// More than this is not written down, but sent at once.
+/// Maximum number of deferred bytes; more are sent at once.
 const MAX_DEFERRED_BYTES: usize = 64 << 10;
 
 /// A lane in the child. Several threads of one call may use it, one after the other.
@@ -31,14 +31,14 @@ pub(super) struct ChildLane {
 struct Buffers {
     out: Vec<u8>,
     message: Vec<u8>,
-    /// What the host runs before the next message.
+    /// Calls that the host runs before the next message.
     deferred: Vec<u8>,
     sent: Sent,
-    /// Buffers of this call's outputs that nobody shares.
+    /// Buffers of this call's outputs that are not shared.
     unshared: Vec<BufferId>,
 }
 
-/// What the host sent with a call, because the node is likely to ask for it.
+/// Data that the host sent with a call because the node is likely to ask for it.
 #[derive(Default)]
 pub(super) struct Sent {
     /// A buffer and its size for each output; size 0 for none.
@@ -50,7 +50,7 @@ pub(super) struct Sent {
 }
 
 impl Sent {
-    /// Reads it from the request of a tick.
+    /// Decodes it from the request of a tick.
     pub fn read(&mut self, outputs_len: usize, reader: &mut Reader<'_>) -> Result<(), BadMessage> {
         self.stock.clear();
         for _ in 0..outputs_len {
@@ -81,7 +81,7 @@ pub(super) struct CallFrame<'l> {
     pub file: String,
 }
 
-/// Retains and releases outside every call, for the next call to pass on: buffer, and whether it is retained.
+/// Retains and releases outside every call, which the next call passes on: buffer, and whether it is retained.
 static LATER: Mutex<Vec<(BufferId, bool)>> = Mutex::new(Vec::new());
 
 thread_local! {
@@ -115,7 +115,7 @@ impl ChildLane {
         Self { lane, buffers: Mutex::default() }
     }
 
-    /// Has the host run a function; `read` gets its result.
+    /// Lets the host run a function; `read` decodes its result.
     fn ask<R>(&self, kind: Kind, write: impl FnOnce(&mut Writer<'_>), read: impl FnOnce(&mut Reader<'_>) -> R) -> R {
         let mut buffers = lock(&self.buffers);
         let Buffers { out, message, deferred, .. } = &mut *buffers;
@@ -135,7 +135,7 @@ impl ChildLane {
         self.ask(kind, write, |_| ());
     }
 
-    /// Writes a function down that the host runs before the next message.
+    /// Defers a function that the host runs before the next message.
     fn defer(&self, kind: Kind, write: impl FnOnce(&mut Writer<'_>)) {
         let mut buffers = lock(&self.buffers);
         write(Writer(&mut buffers.deferred).u32(kind as u32));
@@ -146,7 +146,7 @@ impl ChildLane {
         }
     }
 
-    /// Begins a message of the lane with what was written down, and what was retained and released outside every call.
+    /// Begins a message of the lane with the deferred functions and the retains and releases outside every call.
     pub fn begin(&self, out: &mut Vec<u8>) {
         for (buffer, is_retained) in std::mem::take(&mut *lock(&LATER)) {
             count_now(self, buffer, is_retained);
@@ -157,21 +157,21 @@ impl ChildLane {
         deferred.clear();
     }
 
-    /// Takes what the host sent with a call.
+    /// Receives the data that the host sent with a call.
     pub fn receive_sent(&self, outputs_len: usize, reader: &mut Reader<'_>) -> Result<(), BadMessage> {
         let mut buffers = lock(&self.buffers);
         buffers.unshared.clear();
         buffers.sent.read(outputs_len, reader)
     }
 
-    /// A call without inputs and outputs, for which the host sent nothing.
+    /// Clears that data, for a call without inputs and outputs.
     pub fn forget_sent(&self) {
         let mut buffers = lock(&self.buffers);
         buffers.unshared.clear();
         buffers.sent = Sent::default();
     }
 
-    /// The buffer for an output of so many bytes, once.
+    /// The reserved buffer for an output of this size; each can be taken once.
     fn take_from_stock(&self, output: u32, len: usize) -> Option<(BufferId, *mut u8)> {
         let mut buffers = lock(&self.buffers);
         let (buffer, size) = buffers.sent.stock.get_mut(output as usize)?;
@@ -223,7 +223,7 @@ impl CallFrame<'_> {
         }
     }
 
-    /// Whether output `index` may be a frame of this description; the host says why not.
+    /// Whether output `index` may be a frame of this description; the host reports why not.
     fn accepts(&self, index: u32, frame: &Frame) -> bool {
         self.formats.get(index as usize).is_some_and(|formats| fits(*formats, frame))
     }
@@ -477,7 +477,7 @@ unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
     }
 }
 
-/// The table that plugins in the child get.
+/// The function table for plugins in the child.
 pub(super) fn table(threads: u32) -> Host {
     Host {
         struct_size: size_of::<Host>() as u32,

@@ -10,7 +10,7 @@ use super::process::Process;
 use super::stock::Stock;
 use crate::isolate::wire::{BadMessage, Kind, MAX_TEXT_BYTES, Reader, Writer};
 
-/// What the functions of the host need while a request is in the child.
+/// Arguments of the host's functions while a request is in the child.
 #[derive(Clone, Copy)]
 pub(super) struct Target {
     pub host: *const Host,
@@ -28,10 +28,10 @@ impl Target {
         Self { host, call, sink: std::ptr::null_mut(), outputs: std::ptr::null_mut(), outputs_len: 0 }
     }
 
-    /// Gives the error message of a failure, where there is a call to give it to.
+    /// Reports the error message of a failure, if there is a call.
     ///
     /// # Safety
-    /// Table and call live.
+    /// Table and call are valid.
     pub unsafe fn fail(&self, words: &str) {
         if self.call.is_null() {
             return;
@@ -51,7 +51,7 @@ impl Target {
     }
 }
 
-/// What an instance asked for in earlier calls. It is sent with the next ones.
+/// Data that an instance asked for in earlier calls, which is sent with the next ones.
 #[derive(Default)]
 pub(super) struct Habits {
     /// Inputs whose age it asked for, [`INPUT_TICK`] among them.
@@ -63,7 +63,7 @@ pub(super) struct Habits {
 const MAX_AGES: usize = 64;
 
 impl Habits {
-    /// With the clock in each call.
+    /// Habits of a link, which gets the clock in each call.
     pub fn of_link() -> Self {
         Self { clock: true, ..Self::default() }
     }
@@ -77,7 +77,7 @@ impl Habits {
     /// Writes the clock, and the arrival and age of inputs.
     ///
     /// # Safety
-    /// The call is running, with the host's table.
+    /// The call is running with the host's table.
     pub unsafe fn write(&self, host: &Host, call: *mut c_void, inputs_len: usize, out: &mut Writer<'_>) {
         // The child adds the time that passes on the system's clock.
         let clock = host.clock_ns.filter(|_| self.clock);
@@ -98,18 +98,18 @@ impl Habits {
 
 /// Maximum number of bytes of a state that the host keeps for an instance in another process.
 const MAX_STATE_BYTES: usize = 256 << 20;
-/// Maximum number of files that a node in another process may claim in one call, and the longest path that the system accepts.
+/// Maximum number of files that a node in another process may claim in one call.
 const MAX_CLAIMS: usize = 1024;
 const MAX_PATH_BYTES: usize = 4096;
-/// Longest name of a metric.
+/// Maximum length of a metric's name, bytes.
 const MAX_NAME_BYTES: usize = 256;
 
-/// What the child asked for during one request, as far as it takes memory of the host.
+/// Resources of the host that the child used during one request.
 #[derive(Default)]
 pub(super) struct Spent {
     state_bytes: usize,
     claims: usize,
-    /// What it has asked too much of.
+    /// The limit that it exceeded.
     pub objection: Option<&'static str>,
 }
 
@@ -131,10 +131,11 @@ pub(super) struct Answerer<'r> {
 }
 
 impl Answerer<'_> {
-    /// Runs what the child wrote down before a message, in order. What fails is a fault of the call, which the engine records.
+    /// Runs the functions that the child deferred, in order. A failure is a fault of the call, which the engine
+    /// records.
     ///
     /// # Safety
-    /// Table and call of the target live, and its outputs.
+    /// Table, call and outputs of the target are valid.
     pub unsafe fn run_deferred(&mut self, bytes: &[u8]) -> Result<(), BadMessage> {
         let mut reader = Reader(bytes);
         while !reader.0.is_empty() {
@@ -145,7 +146,7 @@ impl Answerer<'_> {
         Ok(())
     }
 
-    /// Runs a function that has no result, or whose status nobody waits for.
+    /// Runs a function that has no result, or whose status is not awaited.
     ///
     /// # Safety
     /// As [`Self::run_deferred`].
@@ -325,7 +326,7 @@ impl Answerer<'_> {
     /// Writes the status of a function that makes an output, and the output.
     ///
     /// # Safety
-    /// The outputs of the target live.
+    /// The outputs of the target are valid.
     unsafe fn made(&mut self, status: Status, output: u32, out: &mut Vec<u8>) {
         let mut out = Writer(out);
         match self.target.output(output).filter(|_| status == abi::STATUS_OK) {

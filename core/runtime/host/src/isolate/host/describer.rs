@@ -14,12 +14,12 @@ use crate::isolate::description::{self, Described};
 use crate::isolate::lane::{Lost, Side};
 use crate::isolate::wire::{BadMessage, Kind, MAX_PROBLEM_BYTES, MAX_PROBLEMS, Reader, Writer, plain_words};
 
-/// How long a check of parameters may take.
+/// Time limit of a check of parameters.
 const MAX_VALIDATE: Duration = Duration::from_secs(10);
-/// Private memory of the process.
+/// Limit of the process's private memory, bytes.
 const MEMORY_BYTES: u64 = 4 << 30;
 
-/// Why a plugin has no description.
+/// A plugin that could not be described.
 #[derive(Debug, thiserror::Error)]
 pub enum DescribeError {
     /// No process could be started.
@@ -30,24 +30,24 @@ pub enum DescribeError {
         /// The system's error.
         cause: std::io::Error,
     },
-    /// There is no program to start, or it does not answer.
+    /// The program does not exist or does not answer.
     #[error("{0}")]
     Unreachable(String),
-    /// It crashed, or ended.
+    /// The process crashed or ended.
     #[error("{0}")]
     Died(String),
-    /// It does not return from a constructor, or from its description.
+    /// A constructor or the description did not return in time.
     #[error("it did not describe itself within {} s: one of its constructors may hang", .0.as_secs())]
     Late(Duration),
-    /// What its process says is malformed.
+    /// The answer of the process is malformed.
     #[error("its description is malformed")]
     Nonsense,
-    /// Its process could not load it.
+    /// The process could not load the plugin.
     #[error("{0}")]
     Refused(String),
 }
 
-/// A plugin's own description, made in another process. It is to be checked like that of a plugin that was loaded.
+/// A plugin's own description, made in another process. It must be checked like that of a loaded plugin.
 pub struct Description {
     /// The descriptor; its functions are never called.
     pub plugin: &'static Plugin,
@@ -55,8 +55,8 @@ pub struct Description {
     pub describer: Arc<Describer>,
 }
 
-/// Asks a process that has loaded a plugin. The process is started when it is needed, and leaves when it was not needed for a while; it opens no
-/// network connection and no file for writing, where the system can refuse that.
+/// Sends questions to a process that has loaded a plugin. The process starts on demand and ends when idle. Where the
+/// system can enforce it, the process cannot open network connections or write files.
 pub struct Describer {
     pub(super) image: Arc<PluginImage>,
     plugin: String,
@@ -68,11 +68,11 @@ struct Running {
     lane: Arc<NodeLane>,
 }
 
-/// Loads a plugin in a process of its own and asks what it offers.
+/// Loads a plugin in a separate process and asks what it offers.
 ///
-/// `image` is a path to its bytes that stays valid until this process ends, `file` the plugin's file, `name` what its note calls it,
-/// `launch` the program that can run it, if not this one, `limit` the time that it may take. `kept` is a file with an earlier answer: it is read
-/// instead of asking, checked in the same way, and written where it is not there.
+/// `image` is a path to its bytes that stays valid until this process ends, `file` the plugin's file, `name` the name
+/// in its note, `launch` the program that can run it, if not this one, `limit` the time limit. `kept` is a file with an
+/// earlier answer: it is read instead of asking, with the same checks, and written if it does not exist.
 ///
 /// # Errors
 /// See [`DescribeError`].
@@ -136,13 +136,13 @@ impl Describer {
         }
     }
 
-    /// Calls `validate` of node type `index`; what it reports goes to `call`.
+    /// Calls `validate` of node type `index`; its problems are passed to `call`.
     ///
     /// # Errors
     /// The plugin could not be asked.
     ///
     /// # Safety
-    /// The call and everything that it points to live until this returns.
+    /// The call and everything that it points to stay valid until this returns.
     pub unsafe fn validate(&self, index: u32, call: *mut abi::ValidateCall) -> Result<Status, DescribeError> {
         // SAFETY: the caller's promise.
         let call = unsafe { &*call };
@@ -166,7 +166,7 @@ impl Describer {
         unsafe { report(&answer, call) }.map_err(|BadMessage| DescribeError::Nonsense)
     }
 
-    /// Has the process do something; returns what it says.
+    /// Sends a request to the process; returns its answer.
     fn ask(&self, kind: Kind, request: &[u8], limit: Duration) -> Result<Vec<u8>, DescribeError> {
         let mut running = lock(&self.running);
         let was_running = running.as_ref().is_some_and(|running| !running.process.is_ending());
@@ -219,7 +219,7 @@ impl Describer {
 /// Passes the problems in the answer of a process on to `call`; returns the status.
 ///
 /// # Safety
-/// The handle of the call lives until this returns.
+/// The handle of the call stays valid until this returns.
 pub(super) unsafe fn report(answer: &[u8], call: &abi::ValidateCall) -> Result<Status, BadMessage> {
     let mut reader = Reader(answer);
     let status = reader.i32()?;

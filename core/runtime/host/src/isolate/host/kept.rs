@@ -1,21 +1,22 @@
-//! Descriptions on disk. What is read is as little trusted as what a process says; what cannot be written is made again.
+//! Cache of descriptions on disk. Read data is untrusted, like the answer of a process; a failed write only costs time
+//! later.
 
 use std::fs;
 use std::path::Path;
 use std::time::SystemTime;
 
-/// Longest description that is read.
+/// Maximum length of a description, bytes.
 const MAX_BYTES: u64 = 16 << 20;
-/// Maximum number of descriptions that a folder keeps; the oldest go.
+/// Maximum number of descriptions that a folder keeps; the oldest are removed.
 const MAX_COUNT: usize = 256;
 
-/// A description that was kept.
+/// Reads a kept description.
 pub(super) fn read(file: &Path) -> Option<Vec<u8>> {
     let size = fs::metadata(file).ok()?.len();
     (size <= MAX_BYTES).then(|| fs::read(file).ok()).flatten()
 }
 
-/// Keeps a description: the file is there whole or not at all.
+/// Keeps a description: the file is complete or absent.
 pub(super) fn write(file: &Path, bytes: &[u8]) {
     let Some(folder) = file.parent() else { return };
     let part = file.with_extension(format!("{}.part", std::process::id()));

@@ -27,19 +27,19 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What the calls of a group cost, in all its processes.
+/// Cost of the calls of a group in all its processes.
 #[derive(Default)]
 pub(crate) struct Totals {
     processes: AtomicU64,
     calls: AtomicU64,
     round_trips: AtomicU64,
     sleeps: AtomicU64,
-    /// The connection to another machine, as it was last.
+    /// Last known state of the connection to another machine.
     last_link: Mutex<Option<LinkReport>>,
 }
 
 impl Totals {
-    /// Keeps what is known of a connection for reports after its end.
+    /// Keeps the state of a connection for reports after its end.
     fn keep_link(&self, link: LinkReport) {
         *lock(&self.last_link) = Some(link);
     }
@@ -52,10 +52,10 @@ impl Totals {
     }
 }
 
-/// The code of a plugin, as it was verified and mapped by the host.
+/// The code of a plugin, as verified and mapped by the host.
 #[derive(Debug)]
 pub struct PluginImage {
-    /// Number in this process; another version of a plugin's file has another.
+    /// Number in this process; each version of a plugin's file has its own.
     id: u32,
     /// The bytes that were mapped: a path below `/proc/self/fd` that stays valid until the process ends.
     image: PathBuf,
@@ -80,14 +80,16 @@ impl PluginImage {
     }
 }
 
-/// A plugin was loaded: processes of isolated nodes map the same bytes.
+/// Registers a loaded plugin, whose bytes processes of isolated nodes map.
 ///
-/// `image` is a path to them that stays valid until this process ends, `file` the plugin's file, `entries` its node types in order.
+/// `image` is a path to them that stays valid until this process ends, `file` the plugin's file, `entries` its node
+/// types in order.
 pub fn remember(entries: &[&'static NodeType], image: &Path, file: &Path) {
     put(entries, &Arc::new(PluginImage::new(image, file, None)));
 }
 
-/// A plugin was described: processes of isolated nodes map the bytes that its process mapped. `entries` are its node types in order.
+/// Registers a described plugin: processes of isolated nodes map the bytes that its describing process mapped.
+/// `entries` are its node types in order.
 pub fn remember_described(entries: &[&'static NodeType], describer: &Describer) {
     put(entries, &describer.image);
 }
@@ -113,13 +115,13 @@ impl Isolator for Processes {
     }
 }
 
-/// Why a group has no process.
+/// A group without a process.
 #[derive(Debug, thiserror::Error)]
 enum ProcessError {
     /// A plugin of another kind, such as one in Python, on another machine.
     #[error("no other machine runs nodes of its plugin")]
     NoMachine,
-    /// There is no program to start.
+    /// The program to start is not known.
     #[error(transparent)]
     Launch(#[from] LaunchError),
     /// The program does not start.
@@ -185,7 +187,7 @@ impl Group for Isolated {
         };
         let known = lock(&IMAGES).get(&std::ptr::from_ref(entry).addr()).cloned();
         let Some((image, index)) = known else {
-            return refuse("its plugin was not loaded from a file, so that no other process can load it".to_owned());
+            return refuse("its plugin was not loaded from a file, so no other process can load it".to_owned());
         };
         let process = match self.process(&image) {
             Ok(process) => process,

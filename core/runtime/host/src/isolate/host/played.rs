@@ -1,4 +1,5 @@
-//! A process that a thread of this one plays, with any messages: for tests of what the host makes of a process that does not keep to the protocol.
+//! A fake process, played by a thread with arbitrary messages, for tests of how the host handles violations of the
+//! protocol.
 //!
 //! Not for programs: a played process runs no plugin.
 
@@ -22,9 +23,9 @@ const BUFFER_BYTES: usize = 12;
 /// A part of a message.
 #[derive(Clone, Debug)]
 pub enum Piece {
-    /// Bytes as they are.
+    /// Literal bytes.
     Raw(Vec<u8>),
-    /// A part with its length in front.
+    /// A part preceded by its length.
     Counted(Vec<Piece>),
     /// The first input of the tick, as the host sent it.
     Input,
@@ -32,22 +33,22 @@ pub enum Piece {
     InputBuffer,
     /// The buffer that the host reserved for the first output.
     Stock,
-    /// The frame of the host's last answer.
+    /// The frame in the host's last answer.
     Made,
 }
 
 /// A message of the played process.
 #[derive(Clone, Debug)]
 pub struct Step {
-    /// Number of its kind.
+    /// Number of the message's kind.
     pub kind: u32,
-    /// Its length as stated; `None` for the true one.
+    /// Stated length; `None` for the actual one.
     pub stated_len: Option<u32>,
-    /// What it holds.
+    /// Its content.
     pub pieces: Vec<Piece>,
 }
 
-/// Processes that answer each message of the host with the next step of a script, and end with it.
+/// Processes that answer each message of the host with the next step of a script and end after the last one.
 #[derive(Debug)]
 pub struct Played(pub Arc<[Step]>);
 
@@ -104,7 +105,7 @@ impl Group for PlayedGroup {
     }
 }
 
-/// What the host sent, as far as a process may send it back.
+/// Parts of the host's messages that a process may send back.
 #[derive(Default)]
 struct Sent {
     input: Vec<u8>,
@@ -182,14 +183,15 @@ impl Sent {
     }
 }
 
-/// Reads what a process says of its plugin, and lends it as the descriptor that it becomes; `None` if it is malformed.
+/// Decodes a process's description of its plugin and passes the resulting descriptor to the closure; `None` if it is
+/// malformed.
 pub fn with_description<R>(bytes: &[u8], read: impl FnOnce(*const Plugin) -> R) -> Option<R> {
     let described = description::read(bytes).ok()?;
     let pointers: Vec<*const NodeType> = described.node_types.iter().map(std::ptr::from_ref).collect();
     Some(read(&raw const *Box::new(describer::descriptor("played", &pointers))))
 }
 
-/// Writes node types as a process sends them.
+/// Encodes node types as a process does.
 ///
 /// # Safety
 /// As for the descriptors of a plugin that stays mapped.
@@ -200,10 +202,10 @@ pub unsafe fn description_of(node_types: &[&NodeType]) -> Vec<u8> {
     bytes
 }
 
-/// Reads what a process answers to a check of parameters; returns the status, `None` if it is malformed.
+/// Decodes a process's answer to a check of parameters; returns the status, `None` if it is malformed.
 ///
 /// # Safety
-/// The handle of the call lives until this returns.
+/// The handle of the call stays valid until this returns.
 pub unsafe fn problems(answer: &[u8], call: &abi::ValidateCall) -> Option<Status> {
     // SAFETY: the caller's promise.
     unsafe { describer::report(answer, call) }.ok()

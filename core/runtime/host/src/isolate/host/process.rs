@@ -1,4 +1,4 @@
-//! A child process: its start, what it was given, and its end.
+//! A child process: its start, its resources and its end.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -24,11 +24,11 @@ use crate::isolate::socket::{self, Tag};
 use crate::isolate::wire::{Reader, Writer, plain_words};
 use crate::isolate::{COMMAND, EXIT_CONFINED, EXIT_LINK, LINK_COMMAND, MACHINE_PROGRAM, PROTOCOL};
 
-/// How long a process may take to leave after its last instance closed, or to die after it was killed.
+/// Time limit for a process to end after its last instance closed, or after it was killed.
 const MAX_LEAVE: Duration = Duration::from_secs(1);
 /// Bytes of standard error that are kept.
 const STDERR_BYTES: u64 = 16 << 10;
-/// Maximum number of characters of them in a message.
+/// Maximum number of characters of standard error in a message.
 const MAX_SAID: usize = 300;
 const MAX_SAID_BY_LINK: usize = 1200;
 /// Name of the program whose processes run isolated nodes.
@@ -45,24 +45,24 @@ pub struct Launch {
     pub environment: Vec<(OsString, OsString)>,
 }
 
-/// Why no program can be started for a process of nodes.
+/// The program for a process of nodes is missing.
 #[derive(Debug, thiserror::Error)]
 pub enum LaunchError {
     /// The system does not name the file of the running program.
-    #[error("this program's own file is unknown")]
+    #[error("the path of this program is unknown")]
     OwnFile,
     /// The installation lacks a program.
     #[error("the program {} is missing, {purpose}", program.display())]
     Missing {
-        /// Where it should be.
+        /// Expected location.
         program: PathBuf,
-        /// What it is for.
+        /// Purpose of the program.
         purpose: &'static str,
     },
 }
 
 impl Launch {
-    /// This program, the one that is installed beside it, or the one that this process says it belongs to ([`base::program`]).
+    /// This program, the one installed next to it, or the one that this process belongs to ([`base::program`]).
     pub(crate) fn own() -> Result<Self, LaunchError> {
         Ok(Self { program: program()?, arguments: vec![COMMAND.into()], environment: Vec::new() })
     }
@@ -97,7 +97,7 @@ fn program() -> Result<PathBuf, LaunchError> {
     installed(PROGRAM, "whose processes run isolated nodes")
 }
 
-/// A program of the installation, with what it is for.
+/// A program of the installation; `purpose` is for the error.
 fn installed(name: &str, purpose: &'static str) -> Result<PathBuf, LaunchError> {
     let me = base::program::file().ok_or(LaunchError::OwnFile)?;
     let beside = me.with_file_name(name);
@@ -114,25 +114,25 @@ pub(crate) struct NodeLane {
     pub node: String,
     /// For messages: "node `scope`".
     about: String,
-    /// Whether the child has a request of it.
+    /// Whether the child works on a request.
     pub in_call: AtomicBool,
 }
 
-/// What the thread that waits for the end of the process shares with its owner.
+/// State shared by a process's owner and the thread that waits for its end.
 struct Life {
     /// For messages: "the process of group `readers`".
     what: String,
-    /// Its number, which is another process's once it ended; 0 for one that is played.
+    /// Process number, which may be reused after the end; 0 for a played process.
     id: u32,
-    /// `None` where a thread of this process plays it, for tests.
+    /// `None` for a process that is played by a thread in tests.
     pidfd: Option<OwnedFd>,
     /// Whether it is the link to another machine.
     is_link: bool,
-    /// Its standard error, where that is kept.
+    /// Standard error of the process, if it is kept.
     stderr: Option<File>,
     state: Mutex<LifeState>,
     ended: Condvar,
-    /// Set before the lanes are closed.
+    /// Set before the lanes are closed at the end of the process.
     is_dead: AtomicBool,
     is_killed: AtomicBool,
 }
@@ -140,16 +140,16 @@ struct Life {
 #[derive(Default)]
 struct LifeState {
     lanes: Vec<Arc<NodeLane>>,
-    /// See [`Process::at_end`].
+    /// Function of [`Process::at_end`].
     at_end: Option<Box<dyn FnOnce() + Send>>,
-    /// Why the host ended it.
+    /// Reason, if the host ended it.
     reason: Option<String>,
-    /// How it ended.
+    /// Description of its end.
     words: Option<String>,
 }
 
 impl LifeState {
-    /// See [`Process::link_report`].
+    /// State of the link; see [`Process::link_report`].
     fn link_report(&self) -> Option<LinkReport> {
         let counts = self.lanes.first()?.lane.link();
         let clock_uncertainty_ns = counts.clock_uncertainty_ns.load(Ordering::Relaxed);
@@ -166,7 +166,7 @@ impl LifeState {
 }
 
 impl Life {
-    /// Records the end and wakes all that wait for an answer.
+    /// Records the end and wakes all threads that wait for an answer.
     fn end(&self, status: io::Result<ExitStatus>) {
         let mut state = lock(&self.state);
         if state.words.is_some() {
@@ -198,7 +198,7 @@ impl Life {
         }
     }
 
-    /// Waits for the end; `false` if it does not come in time.
+    /// Waits up to `most` for the end; `false` if the process still runs.
     fn wait(&self, most: Duration) -> bool {
         let until = Instant::now() + most;
         let mut state = lock(&self.state);
@@ -210,7 +210,7 @@ impl Life {
     }
 }
 
-/// A file of a fixed size for standard error: it takes memory of nobody who writes without end.
+/// A memory file of fixed size for standard error, so that a process cannot exhaust memory by writing.
 fn new_stderr() -> io::Result<File> {
     // SAFETY: the name is a zero-terminated text.
     let fd = unsafe { libc::memfd_create(c"panoscope-stderr".as_ptr(), libc::MFD_CLOEXEC | libc::MFD_ALLOW_SEALING) };
@@ -240,7 +240,7 @@ fn said(stderr: &File, most: usize) -> Option<String> {
     (!last.is_empty()).then(|| last.chars().skip(skipped).collect())
 }
 
-/// How a process ended, and in which node. `said` is what it wrote at last.
+/// Describes how a process ended, and in which node. `said` is its last output.
 fn words(what: &str, state: &LifeState, status: io::Result<ExitStatus>, said: Option<String>) -> String {
     if let Some(reason) = &state.reason {
         return format!("{what} was ended: {reason}");
@@ -292,9 +292,9 @@ fn signal_words(signal: i32) -> String {
 pub(crate) struct Process {
     life: Arc<Life>,
     socket: Mutex<Option<OwnedFd>>,
-    /// Pools that the child knows, one bit each.
+    /// Pools that the child was given, one bit each.
     known_pools: [AtomicU64; MAX_POOLS / 64 + 1],
-    /// Their files: as long as they are kept, no other memory gets their numbers.
+    /// Files of these pools: while they are kept, their numbers are not reused.
     files: Mutex<Vec<PoolFile>>,
     /// Plugins that the child was given.
     plugins: Mutex<Vec<u32>>,
@@ -305,7 +305,8 @@ pub(crate) struct Process {
 }
 
 impl Process {
-    /// Starts a process. `what` names it in messages, `domain` is that of its own pools, `totals` counts what its calls cost.
+    /// Starts a process. `what` names it in messages, `domain` is that of its own pools, `totals` counts what its calls
+    /// cost.
     pub fn start(
         launch: &Launch,
         settings: &GroupSettings,
@@ -378,7 +379,8 @@ impl Process {
         })
     }
 
-    /// A process that a thread of this one plays: `play` gets each lane that the process would be given, and ends the process when it returns.
+    /// A process that is played by a thread: `play` receives each lane of the process and ends the process when it
+    /// returns.
     pub fn played(
         domain: u32,
         totals: &Arc<Totals>,
@@ -429,7 +431,7 @@ impl Process {
         self.is_link
     }
 
-    /// The connection, as the link describes it, without its address; `None` while no node uses it.
+    /// State of the connection as reported by the link, without its address; `None` while no node uses it.
     pub fn link_report(&self) -> Option<LinkReport> {
         lock(&self.life.state).link_report()
     }
@@ -439,7 +441,7 @@ impl Process {
         self.domain
     }
 
-    /// What its calls cost.
+    /// Cost of its calls.
     pub fn totals(&self) -> &Totals {
         &self.totals
     }
@@ -449,12 +451,12 @@ impl Process {
         self.life.is_dead.load(Ordering::SeqCst)
     }
 
-    /// Whether the process has ended, or was told to.
+    /// Whether the process has ended or was killed.
     pub fn is_ending(&self) -> bool {
         self.is_dead() || self.life.is_killed.load(Ordering::Acquire)
     }
 
-    /// Its number, as long as it runs.
+    /// Process number while it runs.
     pub fn id(&self) -> Option<u32> {
         (!self.is_ending()).then_some(self.life.id)
     }
@@ -470,7 +472,7 @@ impl Process {
         f();
     }
 
-    /// Ends the process; its calls return.
+    /// Kills the process; its calls return.
     pub fn kill(&self, reason: &str) {
         self.life.kill(reason);
     }
@@ -480,10 +482,10 @@ impl Process {
         self.life.wait(MAX_LEAVE);
     }
 
-    /// How the process ended.
+    /// Description of how the process ended.
     pub fn death(&self) -> String {
         if !self.life.wait(MAX_LEAVE) {
-            self.life.kill("it did not answer");
+            self.life.kill("it did not respond");
             self.life.wait(MAX_LEAVE);
         }
         let words = lock(&self.life.state).words.clone();
@@ -513,7 +515,7 @@ impl Process {
         Ok(lane)
     }
 
-    /// A lane is no longer used.
+    /// Removes a lane that is no longer used.
     pub fn drop_lane(&self, lane: &Arc<NodeLane>) {
         let mut state = lock(&self.life.state);
         if self.is_link
@@ -525,7 +527,7 @@ impl Process {
         state.lanes.retain(|known| !Arc::ptr_eq(known, lane));
     }
 
-    /// Gives the child a plugin's code, once.
+    /// Sends a plugin's code to the child, once.
     pub fn give_plugin(&self, image: &PluginImage) -> io::Result<()> {
         let mut plugins = lock(&self.plugins);
         if plugins.contains(&image.id) {
@@ -536,7 +538,7 @@ impl Process {
         Ok(())
     }
 
-    /// Gives the child the bytes of a plugin; `path` is its file, for messages.
+    /// Sends the bytes of a plugin to the child; `path` is its file, for messages.
     pub fn give_plugin_file(&self, id: u32, image: &File, path: &Path) -> io::Result<()> {
         let mut message = Vec::new();
         Writer(&mut message).u32(Tag::Plugin as u32).u32(id).bytes(path.as_os_str().as_encoded_bytes());
@@ -556,13 +558,13 @@ impl Process {
         self.known_pool(buffer).is_some_and(|(known, bit)| known.load(Ordering::Acquire) & bit != 0)
     }
 
-    /// The word and the bit that say whether the child knows the pool of a buffer.
+    /// The word and bit of a buffer's pool in `known_pools`.
     #[inline]
     fn known_pool(&self, buffer: BufferId) -> Option<(&AtomicU64, u64)> {
         Some((self.known_pools.get(buffer.pool as usize / 64)?, 1_u64 << (buffer.pool % 64)))
     }
 
-    /// Gives the child the file of a pool, which it writes if it is its own.
+    /// Sends the file of a pool to the child, writable if the pool is its own.
     pub fn give_pool_file(&self, number: u32, file: &File, len: usize, is_own: bool) -> io::Result<()> {
         let mut message = Vec::new();
         Writer(&mut message).u32(Tag::Pool as u32).u32(number).u64(len as u64).u32(u32::from(is_own));

@@ -1,4 +1,4 @@
-//! An instance that lives in a child process: the functions of the contract, each a message there and back.
+//! An instance that lives in a child process: each function of the contract is a round trip.
 
 use std::ffi::c_void;
 use std::io::ErrorKind;
@@ -22,26 +22,26 @@ struct Remote {
     process: Arc<Process>,
     lane: Arc<NodeLane>,
     host: Host,
-    /// The message to post.
+    /// Buffer of the message to post.
     out: Vec<u8>,
     /// The message received last.
     message: Vec<u8>,
     /// Version of the parameters that the child knows.
     params_version: Option<u64>,
-    /// Copies of inputs that the child could not map.
+    /// Copies of inputs that the child cannot map.
     copies: Vec<FrameRef>,
-    /// For a link: how often the buffer of each input was used, so that it knows which frames the other machine has.
+    /// For a link: the use count of each input's buffer, which tells which frames the other machine already has.
     uses: Vec<u32>,
     stock: Stock,
     habits: Habits,
     spent: Spent,
 }
 
-/// Why the child gets no input.
+/// An input that the child does not receive.
 enum NotShared {
-    /// There is no memory for a copy that it can map.
+    /// No memory for a copy that it can map.
     Exhausted,
-    /// The process takes no files: it has died, or is about to.
+    /// The process accepts no files, because it has ended or is ending.
     Gone,
 }
 
@@ -149,10 +149,10 @@ fn is_read(entry: &NodeType, param: u32) -> bool {
     param.kind == abi::PARAM_PATH && reads && param.flags & abi::PARAM_WRITES == 0
 }
 
-/// The process of a call died.
+/// Reports that the process of a call died.
 ///
 /// # Safety
-/// Table and call of `target` live.
+/// Table and call of `target` are valid.
 unsafe fn died(target: Target, words: &str) -> Status {
     // SAFETY: the caller's promise.
     unsafe { target.fail(words) };
@@ -172,11 +172,11 @@ impl Remote {
         Writer(&mut self.out)
     }
 
-    /// Posts the message, serves the child until it is done, and returns the status. The child's last message is in `message`, see
-    /// [`Self::result`].
+    /// Posts the message, answers the child until it is done, and returns the status. The child's last message is in
+    /// `message`, see [`Self::result`].
     ///
     /// # Safety
-    /// Table and call of `target` live, and its outputs.
+    /// Table, call and outputs of `target` are valid.
     unsafe fn request(&mut self, kind: Kind, target: Target) -> Status {
         if self.out.len() > MAX_MESSAGE_BYTES {
             self.message.clear();
@@ -233,14 +233,14 @@ impl Remote {
         Ok(plain_status(self.result()?.i32()?))
     }
 
-    /// What the child said when it was done, behind what it wrote down before: the status first.
+    /// The child's result after its deferred functions: the status first.
     fn result(&self) -> Result<Reader<'_>, BadMessage> {
         let mut reader = Reader(&self.message);
         reader.bytes()?;
         Ok(reader)
     }
 
-    /// An input as the child can map it.
+    /// An input in memory that the child can map.
     fn shared(&mut self, input: &Frame) -> Result<Frame, NotShared> {
         if input.is_empty() || self.gives(input)? {
             return Ok(*input);
@@ -270,7 +270,7 @@ impl Remote {
     /// Writes the request of a tick.
     ///
     /// # Safety
-    /// Everything that the call points to lives.
+    /// Everything that the call points to is valid.
     unsafe fn write_tick(&mut self, call: &abi::Call) -> Result<(), NotShared> {
         let sends_params = self.params_version != Some(call.params_version);
         self.uses.clear();
@@ -306,10 +306,10 @@ impl Remote {
         Ok(())
     }
 
-    /// Reads what the child says of a tick: the tick, the outputs as the node left them, and where a source is.
+    /// Decodes the result of a tick: the tick, the outputs as changed by the node, and the position of a source.
     ///
     /// # Safety
-    /// The call and its outputs live.
+    /// The call and its outputs are valid.
     unsafe fn read_tick(&self, call: &mut abi::Call) -> Result<(), BadMessage> {
         let mut reader = self.result()?;
         reader.i32()?;

@@ -1,4 +1,4 @@
-//! Buffers that the host reserves for the next call of an instance, so that its outputs are made without asking.
+//! Buffers that the host reserves for the next call of an instance, so that its outputs need no round trip.
 
 use panoscope_abi::{BufferId, Frame};
 use panoscope_engine::memory::{FrameRef, memory, room_for};
@@ -6,10 +6,10 @@ use panoscope_engine::memory::{FrameRef, memory, room_for};
 use super::process::Process;
 use crate::isolate::wire::Writer;
 
-/// A buffer is replaced when the output needs less than this share of it.
+/// A buffer is replaced when the output needs less than 1 / `MIN_SHARE` of it.
 const MIN_SHARE: usize = 4;
 
-/// At most one buffer per output, as large as the output was when it was made last.
+/// At most one buffer per output, of the size of the last output.
 #[derive(Default)]
 pub(super) struct Stock {
     outputs: Vec<Reserve>,
@@ -22,7 +22,7 @@ struct Reserve {
 }
 
 impl Stock {
-    /// The node made an output of this many bytes.
+    /// Records the size of an output that the node made.
     pub fn note(&mut self, output: u32, len: usize) {
         let len = room_for(len);
         if let Some(reserve) = self.outputs.get_mut(output as usize)
@@ -32,7 +32,7 @@ impl Stock {
         }
     }
 
-    /// Reserves what is missing, and writes what there is: for each output a buffer and its size, size 0 for none.
+    /// Reserves missing buffers and encodes, for each output, a buffer and its size; size 0 for none.
     pub fn write(&mut self, outputs_len: usize, process: &Process, out: &mut Writer<'_>) {
         self.outputs.resize_with(outputs_len, Reserve::default);
         for reserve in &mut self.outputs {
@@ -52,7 +52,7 @@ impl Stock {
     }
 }
 
-/// A buffer in the memory of the process; `None` while frame memory is used up.
+/// A buffer in the memory of the process; `None` while frame memory is exhausted.
 fn buffer(len: usize, process: &Process) -> Option<FrameRef> {
     let (buffer, data) = memory().allocate_in(process.domain(), len).ok()?;
     // SAFETY: the one reference of a new buffer of at least `len` bytes.

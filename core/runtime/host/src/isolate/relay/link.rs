@@ -1,4 +1,4 @@
-//! The host's end of a connection: a process that the host takes for the process of a group.
+//! The host's end of a connection: a process that the host treats as the process of a group.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -18,11 +18,11 @@ use panoscope_engine::isolation::Deny;
 /// The connection to the host.
 pub struct Link {
     socket: OwnedFd,
-    /// What the group is to be like.
+    /// Settings of the group.
     pub settings: Settings,
 }
 
-/// Something that the host gives.
+/// Resource that the host sends.
 pub enum Given {
     /// A pool of frames, to map.
     Pool {
@@ -30,16 +30,16 @@ pub enum Given {
         number: u32,
         /// Its size in bytes, which is sealed.
         len: usize,
-        /// Whether the group writes it. Others are open for reading only.
+        /// Whether the group writes it; other pools are read-only.
         is_own: bool,
-        /// Its bytes.
+        /// File with its bytes.
         file: File,
     },
     /// A plugin.
     Plugin {
         /// Its number.
         id: u32,
-        /// Where the host found it.
+        /// Path of the plugin's file on the host.
         path: PathBuf,
         /// A copy of its bytes.
         image: File,
@@ -52,7 +52,7 @@ impl Link {
     /// Takes the socket that is this process's standard input, and the host's first message.
     ///
     /// # Errors
-    /// There is no host, or it is of another version.
+    /// Standard input is not the socket of a host, or the host is of another version.
     pub fn take() -> io::Result<Self> {
         // SAFETY: plain system calls; standard input is the socket that the host gave, and nothing else in this process uses it.
         let socket = unsafe {
@@ -70,11 +70,11 @@ impl Link {
         };
         let (message, _) = socket::receive(socket.as_fd())?;
         let settings = hello(&message)
-            .map_err(|_| io::Error::other("the programs are of different versions; install both again"))?;
+            .map_err(|_| io::Error::other("the programs have different versions; install both again"))?;
         Ok(Self { socket, settings })
     }
 
-    /// Waits for what the host gives next; `None` when the host is gone.
+    /// Waits for the next resource from the host; `None` when the host has closed the socket.
     ///
     /// # Errors
     /// The host is of another build, or memory cannot be mapped.
@@ -120,12 +120,12 @@ fn hello(message: &[u8]) -> Result<Settings, BadMessage> {
     Ok(Settings { threads, memory_bytes, deny })
 }
 
-/// What a link knows of its connection.
+/// State of a link's connection.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LinkNumbers {
-    /// The other machine's clock minus this one's, ns, and its largest error; `None` while it is unknown.
+    /// The other machine's clock minus this one's, ns, and its maximum error; `None` while it is unknown.
     pub clock: Option<(i64, u64)>,
-    /// Time there and back of the last probe, ns.
+    /// Round-trip time of the last probe, ns.
     pub round_trip_ns: u64,
     /// Bytes sent.
     pub sent_bytes: u64,
@@ -140,7 +140,7 @@ impl LinkLane {
     /// Waits for a message of the host; returns its kind.
     ///
     /// # Errors
-    /// The host is gone, or of another build.
+    /// The host has ended or is of another build.
     pub fn receive(&self, message: &mut Vec<u8>) -> Result<u32, RelayError> {
         Ok(self.0.receive(Side::Child, message)? as u32)
     }
@@ -148,14 +148,14 @@ impl LinkLane {
     /// Passes a message on to the host.
     ///
     /// # Errors
-    /// There is no such kind.
+    /// `kind` is unknown.
     pub fn post(&self, kind: u32, message: &[u8]) -> Result<(), RelayError> {
         let kind = Kind::of(kind).ok_or(RelayError::Bad)?;
         self.0.post(Side::Child, kind, message);
         Ok(())
     }
 
-    /// Shows the host what is known of the connection.
+    /// Publishes the state of the connection to the host.
     pub fn show(&self, numbers: &LinkNumbers) {
         let link = self.0.link();
         let (offset_ns, uncertainty_ns) = numbers.clock.unwrap_or_default();

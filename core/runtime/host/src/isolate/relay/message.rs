@@ -1,4 +1,4 @@
-//! What the messages of a lane say about frames and times.
+//! Frames and times in the messages of a lane.
 
 use panoscope_abi::{self as abi, BufferId};
 
@@ -10,15 +10,16 @@ use crate::isolate::wire::{Kind, Reader, Writer};
 pub struct Bytes {
     /// Number of its pool.
     pub pool: u32,
-    /// Where its buffer begins there.
+    /// Offset of its buffer in the pool.
     pub offset: u64,
-    /// Their number.
+    /// Length in bytes.
     pub len: u64,
     /// Whether they are pixels.
     pub is_pixels: bool,
-    /// Columns, rows and bytes from row to row of a picture of 8-bit blue, green and red; `None` for other frames.
+    /// Columns, rows and bytes from row to row of an image of 8-bit blue, green and red; `None` for other frames.
     pub colour_px: Option<(u32, u32, u32)>,
-    /// How often the buffer was handed out, where the host says so: while the number stays, so do the bytes. 0 where it does not.
+    /// How often the buffer was handed out, if the host states it: while the number is the same, the bytes are
+    /// unchanged. 0 if unknown.
     pub uses: u32,
 }
 
@@ -37,13 +38,13 @@ pub struct Request {
     pub inputs: Vec<Bytes>,
     /// Buffers for outputs, of which the node makes new frames: pool and offset.
     pub reserved: Vec<(u32, u64)>,
-    /// The host's clock, and the system's clock there at that moment, ns.
+    /// The host's clock and its system's clock at that moment, ns.
     pub clock: Option<(i64, i64)>,
-    /// Where the second of these stands in the message: eight bytes, little-endian.
+    /// Offset of the second of these in the message: eight bytes, little-endian.
     pub clock_position: usize,
 }
 
-/// Reads the request of a tick that a host sends to a link.
+/// Decodes the request of a tick that a host sends to a link.
 ///
 /// # Errors
 /// It is malformed.
@@ -90,7 +91,7 @@ pub fn request(message: &[u8]) -> Result<Request, RelayError> {
     Ok(request)
 }
 
-/// Whether a result says that all went well.
+/// Whether a result reports success.
 ///
 /// # Errors
 /// It is malformed.
@@ -119,7 +120,8 @@ pub fn outputs(done: &[u8]) -> Result<Vec<Bytes>, RelayError> {
     Ok(outputs)
 }
 
-/// The frame that the host made for a node, if it made one, in the answer to [`super::kind::ALLOC`] or [`super::kind::MAKE_MUT`].
+/// The frame that the host made for a node, if it made one, in the answer to [`super::kind::ALLOC`] or
+/// [`super::kind::MAKE_MUT`].
 ///
 /// # Errors
 /// It is malformed.
@@ -140,8 +142,8 @@ pub fn made_copy(message: &[u8]) -> Result<Bytes, RelayError> {
     Ok(Bytes::of(&reader.frame()?))
 }
 
-/// Puts the arrival of a tick's light in front of what the process wrote down, ns of the host's clock. What a source says itself comes later and
-/// counts.
+/// Inserts the arrival of a tick's light, ns of the host's clock, before the functions that the process deferred. An
+/// arrival that the source itself sets comes later and takes effect.
 ///
 /// # Errors
 /// The message is malformed.
@@ -157,7 +159,7 @@ pub fn arrived(message: &[u8], arrived_ns: i64, out: &mut Vec<u8>) -> Result<(),
     Ok(())
 }
 
-/// What the request to open an instance names.
+/// Content of a request to open an instance.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Open {
     /// Number of the plugin.
@@ -166,11 +168,11 @@ pub struct Open {
     pub node: String,
     /// Folder of the graph.
     pub graph_dir: String,
-    /// Files that the node is declared to read, absolute.
+    /// Files that the node reads according to its declaration, absolute.
     pub files: Vec<String>,
 }
 
-/// Reads the request to open an instance that a host sends to a link.
+/// Decodes the request to open an instance that a host sends to a link.
 ///
 /// # Errors
 /// It is malformed.
@@ -194,8 +196,8 @@ pub fn open(message: &[u8]) -> Result<Open, RelayError> {
     Ok(Open { plugin, node, graph_dir, files })
 }
 
-/// The request to open an instance or that of a tick, with other paths: `graph_dir` for the folder of the graph, and what `path` makes of each
-/// parameter that is a path.
+/// The request to open an instance or that of a tick, with replaced paths: `graph_dir` for the folder of the graph, and
+/// `path(p)` for each path parameter `p`.
 ///
 /// # Errors
 /// The message is malformed.

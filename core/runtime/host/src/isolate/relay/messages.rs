@@ -4,32 +4,32 @@ use std::io::{self, Read};
 
 use panoscope_engine::isolation::Pixels;
 
-/// Longest head of a message.
+/// Maximum length of a message's head, bytes.
 const MAX_HEAD_BYTES: usize = 4 << 20;
 /// Maximum number of frames in one message.
 const MAX_FRAMES: usize = 4096;
-/// Longest frame: the largest buffer of a pool.
+/// Maximum length of a frame, bytes: the largest buffer of a pool.
 pub const MAX_FRAME_BYTES: u64 = 1 << 30;
 /// Maximum number of files in one message.
 const MAX_FILES: usize = 256;
-/// Longest text.
+/// Maximum length of a text, bytes.
 const MAX_TEXT_BYTES: usize = 64 << 10;
 
-/// How the bytes of a frame are written.
+/// Encoding of a frame's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coding {
-    /// As they are.
+    /// Uncompressed.
     Raw,
     /// A block of LZ4.
     Lz4,
-    /// The next picture of a stream of H.264.
+    /// The next image of an H.264 stream.
     H264(Picture),
 }
 
-/// A picture of a stream of H.264: rows of blue, green and red.
+/// An image of an H.264 stream: rows of blue, green and red.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Picture {
-    /// Which of the lane's streams.
+    /// Number of the lane's stream.
     pub stream: u32,
     /// Columns, px.
     pub width: u32,
@@ -37,12 +37,12 @@ pub struct Picture {
     pub height: u32,
     /// Bytes from row to row.
     pub stride_bytes: u32,
-    /// Whether the stream begins with it.
+    /// Whether it begins the stream.
     pub begins: bool,
 }
 
 impl Picture {
-    /// Whether its rows lie inside so many bytes.
+    /// Whether its rows fit into `len` bytes.
     pub fn fits(&self, len: u64) -> bool {
         let (width, height, stride) = (u64::from(self.width), u64::from(self.height), u64::from(self.stride_bytes));
         width > 0 && height > 0 && 3 * width <= stride && stride * (height - 1) + 3 * width <= len
@@ -54,20 +54,20 @@ impl Picture {
 pub struct FrameHead {
     /// Number of its pool.
     pub pool: u32,
-    /// Where it begins there.
+    /// Offset of its buffer in the pool.
     pub offset: u64,
     /// Its length.
     pub len: u64,
-    /// How it is written.
+    /// Encoding of its bytes.
     pub coding: Coding,
-    /// Length as it is written.
+    /// Encoded length in bytes.
     pub coded_len: u64,
 }
 
-/// A file that a node reads, as the host has it.
+/// A file on the host that a node reads.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileHash {
-    /// Its path there.
+    /// Path on the host.
     pub path: String,
     /// SHA-256 as a hexadecimal text.
     pub sha256: String,
@@ -82,7 +82,7 @@ pub struct Turn {
     pub kind: u32,
     /// When it was sent or made, ns of the monotonic clock of the server's machine; 0 while that clock is unknown.
     pub at_ns: i64,
-    /// The message as the processes know it.
+    /// The message in the processes' encoding.
     pub message: Vec<u8>,
     /// Files that its node reads.
     pub files: Vec<FileHash>,
@@ -90,12 +90,12 @@ pub struct Turn {
     pub frames: Vec<FrameHead>,
 }
 
-/// A message.
+/// A message between link and server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Message {
-    /// From the link, first.
+    /// From the link, first message.
     Hello {
-        /// What both sides must agree on, in words.
+        /// Version that both sides must share.
         version: String,
         /// Name of the group.
         group: String,
@@ -105,9 +105,9 @@ pub enum Message {
         memory_bytes: u64,
         /// Whether sockets are denied, and new files.
         deny: (bool, bool),
-        /// How pixels travel.
+        /// Encoding of pixels.
         pixels: Pixels,
-        /// When nothing is heard for this long, the other side counts as lost.
+        /// Silence after which the other side counts as lost, ms.
         timeout_ms: u32,
     },
     /// From the link: a pool of frames.
@@ -123,7 +123,7 @@ pub enum Message {
     Plugin {
         /// Its number.
         id: u32,
-        /// Its file, as the host has it.
+        /// Path of its file on the host.
         path: String,
         /// SHA-256 as a hexadecimal text.
         sha256: String,
@@ -133,15 +133,15 @@ pub enum Message {
         /// Its number.
         id: u32,
     },
-    /// From either side.
+    /// From either side: a message of a lane.
     Turn(Turn),
     /// From the link: the group is no longer needed.
     Bye,
-    /// From the server: it takes the group.
+    /// From the server: it accepts the group.
     Ready,
-    /// From the server: the group is lost, or was refused, and why.
+    /// From the server: the group is lost or was refused.
     Lost {
-        /// In words.
+        /// The reason, as text.
         words: String,
     },
 }
@@ -166,7 +166,7 @@ const BYE: u8 = 6;
 const READY: u8 = 7;
 const LOST: u8 = 8;
 
-/// How a frame is written, in its head.
+/// Number of an encoding in a frame's head.
 const RAW: u8 = 0;
 const LZ4: u8 = 1;
 const H264: u8 = 2;
@@ -309,7 +309,7 @@ pub fn write(message: &Message) -> Vec<u8> {
 /// Reads a message up to the bytes of its frames.
 ///
 /// # Errors
-/// It ends too early, or is malformed.
+/// It is truncated or malformed.
 pub fn read(from: &mut impl Read) -> io::Result<Message> {
     let mut len = [0; 4];
     from.read_exact(&mut len)?;

@@ -1,8 +1,9 @@
 //! Both ends of a connection between the host of a graph and a process of isolated nodes on another machine.
 //!
-//! To the host, a [`Link`] is the process of the group: it is started, given pools, plugins and lanes, and asked, like the process of any group. To the
-//! process on the other machine, [`Served`] is the host. What lies between carries each message of a lane to the other side, and with it the bytes
-//! of the frames that the other side does not have: [`request`] and [`outputs`] name them. Pools have the same numbers and offsets on both sides.
+//! To the host, a [`Link`] is the process of the group: it is started, receives pools, plugins, lanes and requests like
+//! the process of any group. To the process on the other machine, [`Served`] is the host. The code in between carries
+//! each message of a lane to the other side, together with the bytes of frames that the other side lacks; [`request`]
+//! and [`outputs`] name them. Pools have the same numbers and offsets on both sides.
 
 mod link;
 mod message;
@@ -15,7 +16,7 @@ pub use self::message::{
 };
 pub use self::served::{ServeError, Served, ServedLane, Settings};
 
-/// Kinds of messages that what lies between has to know; others pass as they are.
+/// Kinds of messages that the code in between interprets; others pass unchanged.
 pub mod kind {
     use crate::isolate::wire::Kind;
 
@@ -37,13 +38,13 @@ pub mod kind {
     pub const CLOCK: u32 = Kind::Clock as u32;
 }
 
-/// A message of the other side is malformed, or there is no other side any more.
+/// A message of the other side is malformed, or the other side has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RelayError {
-    /// The process is gone.
-    #[error("the process is gone")]
+    /// The process has ended.
+    #[error("the process has ended")]
     Gone,
-    /// The other side is of another build, or broken.
+    /// The other side is of another build or broken.
     #[error("a message between the processes is malformed")]
     Bad,
 }

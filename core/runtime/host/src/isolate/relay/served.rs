@@ -1,4 +1,4 @@
-//! The other machine's end of a connection: a process of isolated nodes, for which this one plays the host.
+//! The other machine's end of a connection: a process of isolated nodes, for which this process acts as the host.
 
 use std::fs::File;
 use std::io;
@@ -13,21 +13,21 @@ use crate::isolate::host::{Launch, LaunchError, NodeLane, Process, Totals};
 use crate::isolate::lane::{MAX_MESSAGE_BYTES, Side};
 use crate::isolate::wire::Kind;
 
-/// What a group is to be like.
+/// Settings of a group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// Threads of its parallel loops.
     pub threads: u32,
     /// Maximum number of bytes of private memory.
     pub memory_bytes: u64,
-    /// What its nodes may not do.
+    /// Denied permissions of its nodes.
     pub deny: Deny,
 }
 
-/// Why a process of isolated nodes did not start.
+/// A process of isolated nodes that did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// There is no program to start.
+    /// The program to start is not known.
     #[error(transparent)]
     Launch(#[from] LaunchError),
     /// The program does not start.
@@ -40,7 +40,7 @@ pub enum ServeError {
     },
 }
 
-/// A process of isolated nodes whose host is elsewhere. It ends when this is dropped.
+/// A process of isolated nodes whose host is on another machine. It ends when this is dropped.
 pub struct Served(Arc<Process>);
 
 impl Served {
@@ -64,7 +64,7 @@ impl Served {
         process.map(Self).map_err(|cause| ServeError::Start { program: launch.program, cause })
     }
 
-    /// Gives it a pool, which it writes if it is its own.
+    /// Sends it a pool, writable if the pool is its own.
     ///
     /// # Errors
     /// It has ended.
@@ -72,7 +72,7 @@ impl Served {
         self.0.give_pool_file(number, file, len, is_own)
     }
 
-    /// Gives it a plugin: its bytes, and its file for messages.
+    /// Sends it a plugin: the bytes, and the file for messages.
     ///
     /// # Errors
     /// It has ended.
@@ -94,7 +94,7 @@ impl Served {
         self.0.kill(reason);
     }
 
-    /// How the process ended; waits for it.
+    /// Waits for the end of the process and describes it.
     pub fn death(&self) -> String {
         self.0.death()
     }
@@ -107,7 +107,7 @@ pub struct ServedLane {
 }
 
 impl ServedLane {
-    /// Passes a message of the host on, and waits for the answer of the process; returns its kind.
+    /// Forwards a message of the host and waits for the answer of the process; returns its kind.
     ///
     /// # Errors
     /// The process has ended, or a message is malformed.
@@ -125,7 +125,7 @@ impl ServedLane {
         Ok(answered as u32)
     }
 
-    /// How the process ended; waits for it.
+    /// Waits for the end of the process and describes it.
     pub fn death(&self) -> String {
         self.process.death()
     }

@@ -1,9 +1,9 @@
-//! Pictures with boxes: m2cai16-tool-locations (Jin et al., "Tool detection and operative skill assessment in surgical videos", 2018) and other sets
-//! in the layouts of Pascal VOC and YOLO.
+//! Images with boxes: m2cai16-tool-locations (Jin et al., "Tool detection and operative skill assessment in surgical
+//! videos", 2018) and other sets in the layouts of Pascal VOC and YOLO.
 //!
 //! ```text
 //! VOC   JPEGImages/v01_002075.jpg, Annotations/v01_002075.xml
-//!       ImageSets/train.txt, or ImageSets/Main/train.txt: names without ending; each list is a sequence, too
+//!       ImageSets/train.txt, or ImageSets/Main/train.txt: names without extension; each list is also a sequence
 //!       class_list.txt: "1 Grasper" (m2cai16-tool-locations)
 //! YOLO  images/NAME.jpg, labels/NAME.txt; or images/train, labels/train; classes.txt or data.yaml
 //! ```
@@ -20,7 +20,7 @@ fn has_ending(path: &Path, ending: &str) -> bool {
     path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending))
 }
 
-/// A sequence of pictures with the labels of their names.
+/// A sequence of images with the labels of their names.
 fn sequence(
     data_set: &'static str,
     name: String,
@@ -39,7 +39,7 @@ fn sequence(
     sequence
 }
 
-/// Names of `class_list.txt`: a number and a name a line.
+/// Names of `class_list.txt`: a number and a name per line.
 fn class_list(folder: &Folder) -> Option<Vec<String>> {
     let text = std::fs::read_to_string(folder.first(&["class_list.txt"])?).ok()?;
     let name = |line: &str| line.trim().split_once(char::is_whitespace).map(|(_, name)| name.trim().to_owned());
@@ -91,7 +91,7 @@ fn yolo(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     sequences.len() > before
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     voc(folder, sequences) || yolo(folder, sequences)
 }

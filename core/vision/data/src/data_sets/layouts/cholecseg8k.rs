@@ -6,9 +6,9 @@
 //!                       frame_80_endo_mask.png, frame_80_endo_color_mask.png   not read
 //! ```
 //!
-//! Numbers of the watershed masks: 50 background, 11 abdominal wall, 21 liver, 13 gastrointestinal tract, 12 fat, 31 grasper, 23 connective tissue,
-//! 24 blood, 25 cystic duct, 32 L-hook electrocautery, 22 gallbladder, 33 hepatic vein, 5 liver ligament. The data set does not publish them; public
-//! loaders agree on them. Only instruments become boxes.
+//! Numbers of the watershed masks: 50 background, 11 abdominal wall, 21 liver, 13 gastrointestinal tract, 12 fat, 31
+//! grasper, 23 connective tissue, 24 blood, 25 cystic duct, 32 L-hook electrocautery, 22 gallbladder, 33 hepatic vein,
+//! 5 liver ligament. The data set does not publish them; public loaders agree on them. Only instruments become boxes.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -28,7 +28,7 @@ fn name_of(path: &std::path::Path) -> &str {
     path.file_name().and_then(|name| name.to_str()).unwrap_or("")
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     if !folder.files().any(|name| name.starts_with("frame_") && name.ends_with(FRAME)) {
         return false;

@@ -1,9 +1,9 @@
-//! EndoVis: the robotic instrument segmentation challenge of 2017 (Allan et al., 2019, arXiv:1902.06426) and the scene segmentation challenge of
-//! 2018 (Allan et al., 2020, arXiv:2001.11190).
+//! EndoVis: the robotic instrument segmentation challenge of 2017 (Allan et al., 2019, arXiv:1902.06426) and the scene
+//! segmentation challenge of 2018 (Allan et al., 2020, arXiv:2001.11190).
 //!
 //! ```text
 //! 2017  instrument_dataset_1/camera_calibration.txt    made for 1280x1024; mm
-//!                            left_frames, right_frames  frame000.png: 1920x1080 with a black border, the picture in its middle
+//!                            left_frames, right_frames  frame000.png: 1920x1080 with a black border, the image in its middle
 //!                            ground_truth/Left_Prograsp_Forceps_labels/frame000.png   one instrument a folder; its parts have different values
 //! 2018  seq_1/camera_calibration.txt
 //!             left_frames, right_frames                 frame000.png: 1280x1024
@@ -11,9 +11,9 @@
 //!       labels.json                                     names and colours
 //! ```
 //!
-//! Who rectified the set of 2017 found that its frames are interlaced, its views not quite of one instant, and the calibrations of sets 3 and 6 off
-//! by 20 rows. Some copies call the folders `left_frame` and `right_frame`. The masks of the test set of 2017 (`TypeSegmentation` and others) are
-//! not read.
+//! Who rectified the set of 2017 found that its frames are interlaced, its views not quite of one instant, and the
+//! calibrations of sets 3 and 6 off by 20 rows. Some copies call the folders `left_frame` and `right_frame`. The masks
+//! of the test set of 2017 (`TypeSegmentation` and others) are not read.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ use crate::data_sets::sequence::{CalibrationFiles, Labels, MaskFile, MaskLayer, 
 
 const OF_2017: &str = "EndoVis 2017";
 const OF_2018: &str = "EndoVis 2018";
-/// Stored frames of 2017, and the picture in their middle.
+/// Sizes of the stored frames of 2017, and of the image in their middle.
 const STORED: (u32, u32) = (1920, 1080);
 const PICTURE: [u32; 4] = [320, 28, 1280, 1024];
 /// Types of instruments of 2017; folders are called by them, often with a side.
@@ -38,7 +38,7 @@ const TYPES: [&str; 7] = [
     "Monopolar Curved Scissors",
     "Other",
 ];
-/// What is no tissue in the pictures of 2018, with colours for copies without labels.json.
+/// Objects in the images of 2018 that are not tissue, with colours for copies without labels.json.
 const THINGS: [(&str, [u8; 3]); 7] = [
     ("instrument-shaft", [0, 255, 0]),
     ("instrument-clasper", [0, 255, 255]),
@@ -48,7 +48,7 @@ const THINGS: [(&str, [u8; 3]); 7] = [
     ("suction-instrument", [123, 15, 175]),
     ("ultrasound-probe", [12, 255, 141]),
 ];
-/// Folders above a sequence in which labels.json may stand.
+/// Number of folders above a sequence in which labels.json may be.
 const LEVELS_UP: usize = 3;
 
 /// Masks of 2017: one folder for each instrument.
@@ -71,7 +71,8 @@ fn instruments(folder: &Folder, left: &[PathBuf]) -> Option<Masks> {
     files.iter().any(|files| !files.is_empty()).then_some(Masks { classes, files })
 }
 
-/// Colours of labels.json, in the folder or above it: a list of `name` and `color`. What it lacks is taken from the published list.
+/// Colours of labels.json, in the folder or above it: a list of `name` and `color`. Missing entries are taken from the
+/// published list.
 fn colours(folder: &Folder, remarks: &mut Vec<String>) -> Vec<(String, [u8; 3])> {
     let path = std::path::absolute(&folder.path).unwrap_or_else(|_| folder.path.clone());
     let file = path.ancestors().take(LEVELS_UP).map(|folder| folder.join("labels.json")).find(|file| file.is_file());
@@ -90,7 +91,7 @@ fn colours(folder: &Folder, remarks: &mut Vec<String>) -> Vec<(String, [u8; 3])>
     THINGS.iter().map(|(name, colour)| ((*name).to_owned(), stated(name).unwrap_or(*colour))).collect()
 }
 
-/// Masks of 2018: one picture with a colour for each class.
+/// Masks of 2018: one image with a colour for each class.
 fn scene(folder: &Folder, left: &[PathBuf], remarks: &mut Vec<String>) -> Option<Masks> {
     let masks = folder.pictures("labels");
     let masks = by_stem(&masks);
@@ -109,7 +110,7 @@ fn scene(folder: &Folder, left: &[PathBuf], remarks: &mut Vec<String>) -> Option
     files.iter().any(|files| !files.is_empty()).then_some(Masks { classes, files })
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     let names = [["left_frames", "right_frames"], ["left_frame", "right_frame"]];
     let Some([left, right]) = names.into_iter().find(|[left, _]| folder.has_folder(left)) else { return false };

@@ -1,5 +1,6 @@
-//! Rectified Hamlyn sequences, as published with Endo-Depth-and-Motion (Recasens et al., 2021; davidrecasens/EndoDepthAndMotion). The sequences
-//! are those of the Hamlyn Centre Laparoscopic / Endoscopic Video Datasets.
+//! Rectified Hamlyn sequences, as published with Endo-Depth-and-Motion (Recasens et al., 2021;
+//! davidrecasens/EndoDepthAndMotion). The sequences are those of the Hamlyn Centre Laparoscopic / Endoscopic Video
+//! Datasets.
 //!
 //! ```text
 //! rectified01/[rectified01/]image01/0000000000.jpg   left view
@@ -15,7 +16,7 @@ use crate::data_sets::folder::{Folder, matching, paired, pictures_in};
 use crate::data_sets::sequence::{CalibrationFiles, Holds, Sequence, Truth};
 
 const DATA_SET: &str = "Hamlyn (rectified)";
-/// Folders above a sequence in which the folder `calibration` may stand.
+/// Number of folders above a sequence in which the folder `calibration` may be.
 const LEVELS_UP: usize = 3;
 
 /// Intrinsics and extrinsics in one folder.
@@ -39,7 +40,7 @@ fn depth(left: &[PathBuf], folder: &Path) -> Option<Truth> {
     Truth::of(matching(left, &pictures_in(folder)), Holds::Depth, 1.0)
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     let is_pair = folder.has_folder("image01") && folder.has_folder("image02");
     let is_single = folder.has_folder("color") && folder.has_folder("depth") && folder.has("intrinsics.txt");

@@ -1,10 +1,10 @@
-//! KITTI (Geiger et al., 2012, 2013; Menze and Geiger, 2015; cvlibs.net/datasets/kitti): stereo of 2012 and 2015, odometry, raw recordings. All
-//! views are rectified.
+//! KITTI (Geiger et al., 2012, 2013; Menze and Geiger, 2015; cvlibs.net/datasets/kitti): stereo of 2012 and 2015,
+//! odometry, raw recordings. All views are rectified.
 //!
 //! ```text
 //! stereo 2015  training/image_2, image_3                  000000_10.png and _11.png, in colours
 //!              training/disp_occ_0/000000_10.png          disparity x 256, 0 unknown
-//!              training/calib_cam_to_cam/000000.txt       often in data_scene_flow_calib/training beside the pictures' folder
+//!              training/calib_cam_to_cam/000000.txt       often in data_scene_flow_calib/training beside the images' folder
 //! stereo 2012  training/colored_0, colored_1; image_0, image_1 (gray)
 //!              training/disp_occ/000000_10.png; training/calib/000000.txt
 //! odometry     sequences/00/image_2, image_3 (or image_0, image_1), calib.txt
@@ -21,9 +21,9 @@ use crate::calibration::KittiCameras::{self, Colour, Gray};
 use crate::data_sets::folder::{Folder, by_stem, files_in, matching, paired, pictures_in, stem};
 use crate::data_sets::sequence::{CalibrationFiles, Holds, Sequence, Truth};
 
-/// Disparities are stored times 256.
+/// Factor of stored disparities.
 const DISPARITY: f32 = 256.0;
-/// Depths are stored in m times 256; ours are in mm.
+/// Divisor of stored depths, which are in m times 256, to mm.
 const DEPTH: f32 = 0.256;
 /// Left and right folder, cameras, folders of true disparity of the left view.
 const STEREO: [(&str, &str, KittiCameras, &[&str]); 3] = [
@@ -37,7 +37,7 @@ fn is_text(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending == "txt")
 }
 
-/// Calibration files of single pictures by their number, as `000000` of `000000_10.png`.
+/// Calibration files of single images by their number, as `000000` of `000000_10.png`.
 fn texts(folder: &Folder) -> BTreeMap<String, PathBuf> {
     let mut folders = ["calib_cam_to_cam", "calib"].map(|name| folder.at(name)).to_vec();
     // The archive of the calibrations of 2015 unpacks beside that of the pictures.
@@ -124,7 +124,7 @@ fn raw(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     sequences.len() > before
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     stereo(folder, sequences) || raw(folder, sequences)
 }

@@ -1,4 +1,5 @@
-//! Middlebury stereo (Scharstein et al., 2001 to 2021; vision.middlebury.edu/stereo/data). All views are rectified; a scene is one pair.
+//! Middlebury stereo (Scharstein et al., 2001 to 2021; vision.middlebury.edu/stereo/data). All views are rectified; a
+//! scene is one pair.
 //!
 //! ```text
 //! 2014, 2021  Adirondack-perfect/im0.png, im1.png, calib.txt, disp0.pfm
@@ -7,15 +8,16 @@
 //! 2001, 2003  cones/im2.png, im6.png, disp2.png
 //! ```
 //!
-//! PFM files hold px, infinite where unknown. The older pictures hold disparity times a factor that depends on their size, 0 unknown: 1, 2, 3 at full,
-//! half and third size (2005, 2006), 1, 2, 4 at full, half and quarter size (2003), 8 (2001). Those sets come without calibration.
+//! PFM files hold px, infinite where unknown. The older images hold disparity times a factor that depends on their
+//! size, 0 unknown: 1, 2, 3 at full, half and third size (2005, 2006), 1, 2, 4 at full, half and quarter size (2003), 8
+//! (2001). Those sets come without calibration.
 
 use crate::data_sets::folder::Folder;
 use crate::data_sets::sequence::{CalibrationFiles, Holds, Sequence, Truth};
 
 const DATA_SET: &str = "Middlebury";
 
-/// Left and right picture, true maps, and the factor of the maps for a width of the views.
+/// A layout of an older set: left and right image, true maps, and the factor of the maps for a width of the views.
 struct Old {
     left: &'static [&'static str],
     right: &'static [&'static str],
@@ -28,7 +30,7 @@ const OLD: [Old; 2] = [
     Old { left: &["im2.png", "im2.ppm"], right: &["im6.png", "im6.ppm"], map: "disp2.png", factor: of_2003 },
 ];
 
-/// Full pictures of 2005 and 2006 have 1240 to 1400 columns.
+/// Factor of a map of 2005 or 2006, where full images have 1240 to 1400 columns.
 fn of_2006(width: u32) -> Option<f32> {
     match width {
         1200..=1450 => Some(1.0),
@@ -38,7 +40,7 @@ fn of_2006(width: u32) -> Option<f32> {
     }
 }
 
-/// Full pictures of 2003 have 1800 columns, all of 2001 about 430.
+/// Factor of a map of 2003 or 2001, where full images have 1800 and about 430 columns.
 fn of_2003(width: u32) -> Option<f32> {
     match width {
         1800 => Some(1.0),
@@ -49,7 +51,7 @@ fn of_2003(width: u32) -> Option<f32> {
     }
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     if folder.has("im0.png") && folder.has("im1.png") && folder.has("calib.txt") {
         let [left, right] = ["im0.png", "im1.png"].map(|name| vec![folder.at(name)]);

@@ -1,4 +1,4 @@
-//! One file for each data set: how its folders are recognised, and what their files are.
+//! One file for each data set: recognition of its folders, and the meaning of their files.
 
 mod boxes;
 mod cholecseg8k;
@@ -13,14 +13,14 @@ mod stereomis;
 use crate::data_sets::folder::Folder;
 use crate::data_sets::sequence::Sequence;
 
-/// A layout that is recognised.
+/// A known layout.
 #[derive(Clone, Copy, Debug)]
 pub struct Known {
     /// Name of the data set.
     pub data_set: &'static str,
-    /// What a folder must hold to be taken for one of its sequences.
+    /// Required content of a folder of this layout.
     pub holds: &'static str,
-    /// Adds the sequences of the folder; `false` when it is none of this data set.
+    /// Adds the sequences of the folder; `false` if it does not belong to this data set.
     claim: fn(&Folder, &mut Vec<Sequence>) -> bool,
 }
 
@@ -65,7 +65,7 @@ pub const KNOWN: &[Known] = &[
     Known { data_set: "pairs of pictures", holds: "folders left and right", claim: pairs::claim },
 ];
 
-/// The data sets in words.
+/// Names of the data sets, for messages.
 pub(crate) fn names() -> String {
     KNOWN.iter().map(|known| known.data_set).collect::<Vec<_>>().join("; ")
 }

@@ -1,6 +1,7 @@
-//! Pairs of pictures in two folders, as many programs write them: `left` and `right`, paired by the numbers in their names.
+//! Pairs of images in two folders, as written by many programs: `left` and `right`, paired by the numbers in their
+//! names.
 //!
-//! A calibration beside the folders is taken from `calibration`, `scope` or `stereo` with the ending .yml or .yaml.
+//! A calibration next to the folders is read from `calibration`, `scope` or `stereo` with the extension .yml or .yaml.
 
 use crate::calibration::views::matched;
 
@@ -11,7 +12,7 @@ const DATA_SET: &str = "pairs of pictures";
 const CALIBRATIONS: [&str; 6] =
     ["calibration.yml", "calibration.yaml", "scope.yml", "scope.yaml", "stereo.yml", "stereo.yaml"];
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     if !folder.has_folder("left") || !folder.has_folder("right") {
         return false;

@@ -1,4 +1,5 @@
-//! SCARED: "Stereo Correspondence and Reconstruction of Endoscopic Data" (Allan et al., 2021; EndoVis sub-challenge of 2019).
+//! SCARED: "Stereo Correspondence and Reconstruction of Endoscopic Data" (Allan et al., 2021; EndoVis sub-challenge of
+//! 2019).
 //!
 //! ```text
 //! dataset_1/keyframe_1/endoscope_calibration.yaml   OpenCV's FileStorage: M1, D1, M2, D2, R, T (mm)
@@ -14,7 +15,7 @@ use crate::data_sets::folder::{Folder, files_in, stem};
 use crate::data_sets::sequence::{CalibrationFiles, Holds, Sequence, Stacked, Truth};
 
 const DATA_SET: &str = "SCARED";
-/// Larger numbers are no frame of a video.
+/// Maximum number of frames of a video; larger numbers are ignored.
 const MAX_FRAMES: usize = 1_000_000;
 
 /// Points of the frames by the numbers in their names.
@@ -40,7 +41,7 @@ fn scene_points(data: &Folder) -> Option<Truth> {
     Truth::of(numbered, Holds::StackedPoints, 1.0)
 }
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     let Some(calibration) = folder.first(&["endoscope_calibration.yaml"]) else { return false };
     let calibration = CalibrationFiles::one(vec![calibration]);

@@ -1,5 +1,5 @@
-//! StereoMIS: da Vinci recordings of porcine and human operations (Hayoz et al., "Learning how to robustly estimate camera pose in endoscopic
-//! videos", 2023; zenodo.org/records/7727691).
+//! StereoMIS: da Vinci recordings of porcine and human operations (Hayoz et al., "Learning how to robustly estimate
+//! camera pose in endoscopic videos", 2023; zenodo.org/records/7727691).
 //!
 //! ```text
 //! P1/StereoCalibration.ini   raw cameras, mm
@@ -13,7 +13,7 @@ use crate::data_sets::sequence::{CalibrationFiles, Sequence, Stacked};
 
 const DATA_SET: &str = "StereoMIS";
 
-/// See [`super::Known`].
+/// Adds the sequences of a folder; see [`super::Known`].
 pub(super) fn claim(folder: &Folder, sequences: &mut Vec<Sequence>) -> bool {
     let Some(calibration) = folder.first(&["StereoCalibration.ini"]) else { return false };
     let videos: Vec<&str> = folder.files().filter(|name| name.to_ascii_lowercase().ends_with(".mp4")).collect();

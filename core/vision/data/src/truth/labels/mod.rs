@@ -1,4 +1,4 @@
-//! Boxes of objects in a picture, as VOC and YOLO write them: one file for each picture.
+//! Boxes of objects in an image, in the formats of VOC and YOLO: one file for each image.
 
 mod voc;
 mod yolo;
@@ -6,16 +6,16 @@ mod yolo;
 pub use voc::{Voc, VocObject, voc};
 pub use yolo::{YoloObject, YoloShape, yolo, yolo_names};
 
-/// Why a text gives no boxes.
+/// A text without valid boxes.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LabelError {
-    /// The XML is deeper than an annotation can be.
-    #[error("its elements stand in each other more than {most} deep")]
+    /// The XML is nested too deeply.
+    #[error("its elements are nested more than {most} levels deep")]
     Deep {
         /// Maximum number of levels.
         most: usize,
     },
-    /// The text is no XML.
+    /// The text is not XML.
     #[error("{reason}")]
     Xml {
         /// The parser's words.
@@ -27,12 +27,12 @@ pub enum LabelError {
         /// The element.
         element: &'static str,
     },
-    /// An element holds no finite number.
+    /// An element is not a finite number.
     #[error("<{element}> is {text:?}")]
     Number {
         /// The element.
         element: &'static str,
-        /// What it holds.
+        /// Its content.
         text: String,
     },
     /// A line of YOLO is neither a box nor a polygon.

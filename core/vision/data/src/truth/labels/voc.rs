@@ -1,4 +1,4 @@
-//! VOC: one XML file a picture.
+//! VOC: one XML file per image.
 
 use super::LabelError;
 
@@ -7,16 +7,16 @@ use super::LabelError;
 pub struct VocObject {
     /// Its class.
     pub name: String,
-    /// Left, top, right, bottom in px of the size that the file names.
+    /// Left, top, right, bottom in px of the stated size.
     pub corners: [f64; 4],
-    /// Too difficult to count.
+    /// Whether it is marked as difficult.
     pub is_difficult: bool,
 }
 
-/// What an annotation says of a picture.
+/// Annotation of an image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Voc {
-    /// Width and height that the file names, px; each `None` where it names none.
+    /// Width and height in the file, px; each `None` if missing.
     pub size: [Option<f64>; 2],
     /// Its objects.
     pub objects: Vec<VocObject>,
@@ -25,7 +25,7 @@ pub struct Voc {
 /// Reads the text of an annotation.
 ///
 /// # Errors
-/// The text is no XML, or an object has no name or no box.
+/// The text is not XML, or an object has no name or no box.
 pub fn voc(text: &str) -> Result<Voc, LabelError> {
     // The parser calls itself for each level.
     if levels(text) > MAX_LEVELS {
@@ -54,10 +54,10 @@ pub fn voc(text: &str) -> Result<Voc, LabelError> {
     Ok(found)
 }
 
-/// Maximum number of elements in each other; an annotation has four.
+/// Maximum nesting of elements; an annotation has four levels.
 const MAX_LEVELS: usize = 100;
 
-/// Maximum number of elements of a text that are open at once. Comments, declarations and quoted values are skipped as the parser does.
+/// Maximum nesting of a text's elements. Comments, declarations and quoted values are skipped as the parser does.
 fn levels(text: &str) -> usize {
     let (mut rest, mut open, mut most) = (text, 0usize, 0);
     let behind = |text: &'_ str, mark: &str| text.find(mark).map(|at| at + mark.len());

@@ -1,17 +1,17 @@
-//! YOLO: one text file a picture; class numbers, places in shares of the picture.
+//! YOLO: one text file per image; class numbers, positions in shares of the image.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::LabelError;
 
-/// Numbers of classes are below this.
+/// Upper bound of class numbers.
 const MAX_CLASSES: usize = 10_000;
 
-/// What marks an object.
+/// Shape of an object.
 #[derive(Clone, Debug, PartialEq)]
 pub enum YoloShape {
-    /// Left, top, width, height, in shares of the picture's width and height.
+    /// Left, top, width, height, in shares of the image's width and height.
     Box([f64; 4]),
     /// Corners of an outline, in shares of width and height.
     Polygon(Vec<[f64; 2]>),
@@ -24,12 +24,12 @@ pub struct YoloObject {
     pub class: usize,
     /// Line of the text, from 1.
     pub line: usize,
-    /// Where it is.
+    /// Shape of the object.
     pub shape: YoloShape,
 }
 
 impl YoloObject {
-    /// Left, top, width and height in shares, around the outline where it has one.
+    /// Left, top, width and height in shares, around the outline if it has one.
     pub fn bounds(&self) -> [f64; 4] {
         match &self.shape {
             YoloShape::Box(bounds) => *bounds,
@@ -66,8 +66,8 @@ pub fn yolo(text: &str) -> Result<Vec<YoloObject>, LabelError> {
     Ok(objects)
 }
 
-/// Names by class number: one a line in classes.txt, or `names:` in data.yaml (else the only YAML file): a list or a map, in brackets or below it.
-/// A number that the map leaves out is called `class N`. Empty without either file.
+/// Names by class number: one per line in classes.txt, or `names:` in data.yaml (else the only YAML file): a list or a
+/// map, in brackets or below it. A number that the map leaves out is called `class N`. Empty without either file.
 pub fn yolo_names(folder: &Path) -> Vec<String> {
     if let Ok(text) = std::fs::read_to_string(folder.join("classes.txt")) {
         return text.lines().map(|l| l.trim().to_owned()).filter(|l| !l.is_empty()).collect();

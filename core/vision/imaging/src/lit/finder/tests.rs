@@ -1,4 +1,4 @@
-//! The finder on rendered scopes: rims of all kinds, and darkness that is none.
+//! The finder on rendered scopes: rims of all kinds, and darkness that is not a rim.
 
 use super::*;
 

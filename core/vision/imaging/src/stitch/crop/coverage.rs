@@ -1,11 +1,11 @@
-//! Which cells of the reference plane the views cover with light, and for how long they have done so.
+//! Cells of the reference plane that are covered by lit parts of views, and for how long.
 
 use crate::Rect;
 use crate::stitch::canvas::Bounds;
 use crate::stitch::params::{Canvas, MAX_VIEWS};
 use crate::stitch::warp::Span;
 
-/// Cells around the views that the grid has in reserve, so that it seldom moves.
+/// Spare cells around the views, so that the grid rarely moves.
 const SPARE_CELLS: i32 = 8;
 
 /// Cells of `cell_px` at the multiples of that length on the reference plane.
@@ -16,12 +16,12 @@ pub(super) struct Coverage {
     first: [i32; 2],
     columns: usize,
     rows: usize,
-    /// Looks in a row that found a cell covered.
+    /// Number of consecutive updates in which a cell was covered.
     looks: Vec<u8>,
     old: Vec<u8>,
     /// Rows of pixels in which the cells of a row are covered.
     full_rows: Vec<usize>,
-    /// The next look is the first.
+    /// Whether the next update is the first.
     is_new: bool,
 }
 
@@ -41,12 +41,13 @@ impl Coverage {
         (self.columns, self.rows)
     }
 
-    /// Looks in a row that found a cell covered, at most 255; those of the first look count as long known.
+    /// Number of consecutive updates in which a cell was covered, at most 255; cells of the first update count as long
+    /// covered.
     pub fn looks(&self, cell: usize) -> u8 {
         self.looks[cell]
     }
 
-    /// Fits the grid to views within `bounds`, and gives the canvas that it lies on.
+    /// Fits the grid to views within `bounds`, and returns its canvas.
     pub fn canvas(&mut self, bounds: Bounds, cell_px: usize) -> Canvas {
         self.is_new |= self.columns == 0 || self.cell_px != cell_px;
         self.cell_px = cell_px;
@@ -55,7 +56,7 @@ impl Coverage {
         Canvas { width: self.columns * cell_px, height: self.rows * cell_px, left, top }
     }
 
-    /// Brings the cells up to a frame whose views cover `spans[view][row]` of the grid's canvas.
+    /// Updates the cells with a frame whose views cover `spans[view][row]` of the grid's canvas.
     pub fn look(&mut self, spans: &[Vec<Span>]) {
         let (columns, cell_px, is_first) = (self.columns, self.cell_px, std::mem::take(&mut self.is_new));
         for (row, cells) in self.looks.chunks_exact_mut(columns).enumerate() {
@@ -79,7 +80,7 @@ impl Coverage {
         }
     }
 
-    /// Moves the grid when the views lie outside it; cells that both grids have keep what is known of them.
+    /// Moves the grid when the views lie outside it; cells in both grids keep their state.
     fn fit(&mut self, bounds: Bounds, is_first: bool) {
         let cell = |at: f64| (at / self.cell_px as f64).floor() as i32;
         let (low, high) = ([cell(bounds.x0), cell(bounds.y0)], [cell(bounds.x1) + 1, cell(bounds.y1) + 1]);
@@ -123,7 +124,8 @@ impl Coverage {
     }
 }
 
-/// Calls `run` with the first column and one past the last of what the views cover together in a row, from left to right.
+/// Calls `run` with the first column and one past the last of what the views cover together in a row, from left to
+/// right.
 fn each_run(spans: &[Vec<Span>], y: usize, mut run: impl FnMut(usize, usize)) {
     let mut row = [Span::default(); MAX_VIEWS];
     let mut count = 0;
@@ -163,7 +165,7 @@ impl CellRect {
         ((self.x1 - self.x0).max(0) * (self.y1 - self.y0).max(0)) as usize
     }
 
-    /// Largest distance between a side and that of another, cells.
+    /// Maximum distance between corresponding sides of two rectangles, cells.
     pub fn distance(&self, other: &Self) -> i32 {
         let sides = [self.x0 - other.x0, self.y0 - other.y0, self.x1 - other.x1, self.y1 - other.y1];
         sides.map(i32::abs).into_iter().fold(0, i32::max)

@@ -1,8 +1,9 @@
 //! The crop of a panorama: which rectangle of the reference plane is drawn, held over seconds.
 //!
-//! Edges of the views on the plane move with every new registration. The rectangle does not: it shrinks when a part of it has been empty for
-//! [`SHRINK_S`], grows when a larger one has been covered for as long as [`CompositeParams::crop_hold_s`], and is otherwise left alone. Its sides lie at
-//! multiples of a cell of 4 px (for views of up to 1279 columns), so that a change is a step and never a drift.
+//! Edges of the views on the plane move with every new registration. The rectangle does not: it shrinks when a part of
+//! it has been empty for [`SHRINK_S`], grows when a larger one has been covered for as long as
+//! [`CompositeParams::crop_hold_s`], and is otherwise left alone. Its sides are at multiples of a cell of 4 px (for
+//! views of up to 1279 columns), so that a change is a step and never a drift.
 
 mod coverage;
 mod rectangle;
@@ -15,17 +16,17 @@ use super::warp::Span;
 use coverage::{CellRect, Coverage};
 pub(super) use rectangle::LargestRectangle;
 
-/// Time between two looks at what the views cover.
+/// Time between two updates of the covered area.
 const LOOK_S: f64 = 0.25;
-/// Time for which a part of a filled rectangle may be empty: one bad registration does not change it.
+/// Time for which a part of a filled rectangle may be empty: so that one bad registration does not change it.
 const SHRINK_S: f64 = 0.5;
-/// A filled rectangle grows when its area does by this share, in percent.
+/// Minimum growth of the area of a filled rectangle, in percent.
 const GROW_PERCENT: usize = 6;
-/// A bounding box changes when a side is off by this many cells.
+/// Number of cells by which a side must differ before a bounding box changes.
 const OFF_CELLS: i32 = 3;
 /// A filled rectangle smaller than this share of the reference view, in percent, is not used.
 const MIN_PERCENT: usize = 25;
-/// Cells that a filled rectangle keeps from an edge that may move.
+/// Distance of a filled rectangle from a moving edge, cells.
 const SPARE_CELLS: i32 = 1;
 /// Columns of a view per cell.
 const COLUMNS_PER_CELL: usize = 160;
@@ -38,7 +39,7 @@ pub(super) struct Crop {
     coverage: Coverage,
     largest: LargestRectangle,
     held: Option<CellRect>,
-    /// Time until the next look, since the last change, and for which the rectangle has not fitted, s.
+    /// Time until the next update, s.
     to_look_s: f64,
     since_change_s: f64,
     unfit_s: f64,
@@ -54,7 +55,7 @@ impl Crop {
         (self.to_look_s, self.since_change_s, self.unfit_s) = (0.0, 0.0, 0.0);
     }
 
-    /// Lets time pass.
+    /// Advances the time.
     pub fn elapse(&mut self, seconds: f64) {
         self.to_look_s -= seconds;
         self.since_change_s += seconds;
@@ -71,23 +72,25 @@ impl Crop {
         })
     }
 
-    /// How much larger the covered area of the rectangle is than the lit part of the reference view, percent; `None` before the first look.
+    /// How much larger the covered area of the rectangle is than the lit part of the reference view, percent; `None`
+    /// before the first look.
     pub fn gain_percent(&self) -> Option<f64> {
         self.gain_percent
     }
 
-    /// Whether it is time to look at what the views cover.
+    /// Whether an update of the covered area is due.
     pub fn is_due(&self) -> bool {
         self.held.is_none() || self.to_look_s <= 0.0
     }
 
-    /// A canvas that holds all of `bounds`, for the next [`update`](Self::update). `columns`: those of the reference view.
+    /// A canvas that holds all of `bounds`, for the next [`update`](Self::update). `columns`: those of the reference
+    /// view.
     pub fn whole(&mut self, bounds: Bounds, columns: usize) -> Canvas {
         let cell_px = (columns / COLUMNS_PER_CELL / CELL_STEP_PX * CELL_STEP_PX).max(CELL_STEP_PX);
         self.coverage.canvas(bounds, cell_px)
     }
 
-    /// Takes over which columns the views cover in each row of the canvas that [`whole`](Self::whole) gave.
+    /// Updates the crop with the columns that the views cover in each row of the canvas from [`whole`](Self::whole).
     ///
     /// `size`: columns and rows of the reference view; `lit_px`: its lit pixels.
     pub fn update(&mut self, spans: &[Vec<Span>], size: (usize, usize), lit_px: f64, params: &CompositeParams) {
@@ -110,7 +113,7 @@ impl Crop {
         });
     }
 
-    /// The bounding box of what is covered, when the one in force has been off for `hold_s`.
+    /// The bounding box of the covered area, if the current one has differed for `hold_s`.
     fn content(&mut self, steady_looks: u8, hold_s: f64) -> Option<CellRect> {
         let (columns, rows) = self.coverage.size();
         let mut found: Option<[usize; 4]> = None;
@@ -130,7 +133,7 @@ impl Crop {
         (self.unfit_s >= hold_s).then_some(wanted)
     }
 
-    /// The largest covered rectangle, when the one in force has a gap or is much smaller.
+    /// The largest covered rectangle, if the current one has a gap or is much smaller.
     fn filled(&mut self, steady_looks: u8, hold_s: f64, size: (usize, usize)) -> Option<CellRect> {
         if let Some(held) = self.held {
             let has_gap = self.coverage.cells(held).count() < held.area()
@@ -166,7 +169,7 @@ impl Crop {
     }
 }
 
-/// Moves the sides inwards that are not those of the reference view: other views and rims move against it.
+/// Moves sides inwards that do not belong to the reference view, because other views and rims move relative to it.
 fn keep_off(rect: CellRect, size: (usize, usize), cell_px: usize) -> CellRect {
     let [columns, rows] = [size.0, size.1].map(|length| (length / cell_px) as i32);
     let spare = |is_fixed: bool| if is_fixed { 0 } else { SPARE_CELLS };

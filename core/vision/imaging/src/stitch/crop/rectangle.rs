@@ -2,7 +2,7 @@
 
 use crate::Rect;
 
-/// Searches grids; keeps its work memory.
+/// Searches grids; with reusable buffers.
 #[derive(Debug, Default)]
 pub(in crate::stitch) struct LargestRectangle {
     /// Set cells above each cell of a row, that one included.
@@ -12,9 +12,10 @@ pub(in crate::stitch) struct LargestRectangle {
 }
 
 impl LargestRectangle {
-    /// The largest rectangle of cells for which `is_set` holds, by the largest one below a histogram, row by row. Cells are numbered row by row.
+    /// The largest rectangle of cells for which `is_set` holds, by the largest one below a histogram, row by row. Cells
+    /// are numbered row by row.
     ///
-    /// Empty when no cell is set. Of equal ones the first counts. Cost O(columns x rows).
+    /// Empty when no cell is set. Of equal ones the first is returned. Cost O(columns x rows).
     pub fn find(&mut self, columns: usize, rows: usize, is_set: impl Fn(usize) -> bool) -> Rect {
         let mut best = Rect::new(0, 0, 0, 0);
         self.heights.clear();

@@ -3,7 +3,8 @@
 use crate::Simd;
 use crate::simd::dispatch;
 
-/// Lower half of a symmetric band matrix, column by column: `a[k * (band + 1) + d]` is the element in row `k + d`, column `k`.
+/// Lower half of a symmetric band matrix, column by column: `a[k * (band + 1) + d]` is the element in row `k + d`,
+/// column `k`.
 #[derive(Clone, Debug, Default)]
 pub struct BandMatrix {
     order: usize,
@@ -19,7 +20,7 @@ impl BandMatrix {
         self.a.resize(order * (band + 1), 0.0);
     }
 
-    /// Takes over order, band and elements of another matrix.
+    /// Copies order, band and elements of another matrix.
     pub fn copy_from(&mut self, other: &Self) {
         (self.order, self.band) = (other.order, other.band);
         self.a.clear();
@@ -32,13 +33,14 @@ impl BandMatrix {
         self.a[column * (self.band + 1) + row - column] += value;
     }
 
-    /// Replaces the matrix by its Cholesky factor. `false` when it is not positive definite; its elements are then without meaning.
+    /// Replaces the matrix by its Cholesky factor. `false` when it is not positive definite; its elements are then
+    /// undefined.
     pub fn factor(&mut self, simd: Simd) -> bool {
         let (a, order, band): (&mut [f64], usize, usize) = (&mut self.a, self.order, self.band);
         dispatch!(simd, factor_body(a: &mut [f64], order: usize, band: usize) -> bool)
     }
 
-    /// Solves for both columns of `x` with the factor that [`factor`](Self::factor) left.
+    /// Solves for both columns of `x` with the factor from [`factor`](Self::factor).
     pub fn solve(&self, x: &mut [[f64; 2]]) {
         let width = self.band + 1;
         for k in 0..self.order {

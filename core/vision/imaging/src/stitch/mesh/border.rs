@@ -1,8 +1,8 @@
-//! The sides of the reference view beyond which the other view reaches, where the mesh is continued.
+//! The sides of the reference view beyond which the other view reaches, beyond which the mesh is extrapolated.
 
 use crate::geometry::Homography;
 
-/// The changeover takes at most this share of what both views see.
+/// Maximum share of the overlap that the transition takes.
 const MAX_SHARE: f64 = 0.15;
 
 /// A side of the reference view beyond which the other view reaches.
@@ -14,12 +14,12 @@ pub struct Border {
     pub outwards: f64,
     /// Position, px of the reference view.
     pub at_px: f64,
-    /// How far both views see on the inner side, px.
+    /// Width of the overlap on the inner side, px.
     pub overlap_px: f64,
 }
 
 impl Border {
-    /// Width of the changeover before the border where at most `max_px` are wanted, px; 0 for none.
+    /// Width of the transition before the border, at most `max_px`, px; 0 for none.
     pub fn zone_px(&self, max_px: f64) -> f64 {
         max_px.min(MAX_SHARE * self.overlap_px).max(0.0)
     }

@@ -1,12 +1,12 @@
-//! Where a mesh and what was measured differ: a seam must not run there.
+//! Regions where a mesh and the measurements differ, which a seam must avoid.
 
 use crate::geometry::length;
 
-/// Doubt of a place without an observation, px: it may match, but nothing says so.
+/// Doubt of a position without an observation, px.
 const UNKNOWN_PX: f32 = 1.0;
 /// Largest doubt, px.
 const MAX_PX: f64 = 16.0;
-/// From this doubt on a place shows something else in each view, px.
+/// Doubt from which on the views show different content, px.
 const WRONG_PX: f32 = 3.0;
 
 /// Distance between a mesh and the observations, on a grid of cells over the reference view.
@@ -30,13 +30,13 @@ impl Doubt {
         if column >= self.columns || row >= self.rows { 0.0 } else { self.px[row * self.columns + column] }
     }
 
-    /// Takes over another one in the memory that is there.
+    /// Copies another one into the existing memory.
     pub fn copy_from(&mut self, other: &Self) {
         (self.cell_px, self.columns, self.rows) = (other.cell_px, other.columns, other.rows);
         self.px.clone_from(&other.px);
     }
 
-    /// Becomes the doubt on pictures that are larger by a factor, in pixels of the small ones.
+    /// Becomes the doubt on images that are larger by a factor, in pixels of the small ones.
     pub fn enlarge(&mut self, small: &Self, factor: usize) {
         self.copy_from(small);
         self.cell_px *= factor;
@@ -49,9 +49,9 @@ impl Doubt {
         self.px.resize(columns * rows, UNKNOWN_PX);
     }
 
-    /// An observation in a cell, `off` px of the other view from where the mesh puts it.
+    /// Adds an observation in a cell that is `off` px of the other view from its position in the mesh.
     ///
-    /// What the other view shows of it is drawn off by as much: all cells on the way there are in doubt.
+    /// The other view draws it displaced by as much, so all cells in between are in doubt.
     pub fn mark(&mut self, cell: usize, off: [f64; 2]) {
         let length = length(off);
         let level = length.min(MAX_PX) as f32;
@@ -72,7 +72,7 @@ impl Doubt {
         }
     }
 
-    /// Carries what is wrong `reach_px` further, for a transition beside it shows it as well.
+    /// Extends wrong regions by `reach_px`, because a nearby transition shows them too.
     pub fn spread(&mut self, reach_px: f64) {
         let reach = (reach_px / self.cell_px.max(1) as f64).round() as usize;
         let mut line = std::mem::take(&mut self.line);

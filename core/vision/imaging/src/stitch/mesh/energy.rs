@@ -1,13 +1,13 @@
 //! The least-squares problem whose solution is the mesh.
 //!
-//! Unknown is the displacement of each vertex against the homography, px of the other view. Terms: observations between vertices;
-//! second differences, which keep the mesh smooth; first differences, which let it fade into the (shifted) homography where nothing is observed; and
-//! positions of the frame before.
+//! The unknowns are the displacements of the vertices from the homography, px of the other view. Terms: observations
+//! between vertices; second differences, which keep the mesh smooth; first differences, which let it fade into the
+//! (shifted) homography without observations; and positions of the previous frame.
 
 use super::band::BandMatrix;
 use crate::Simd;
 
-/// Weights of the terms beside the observations, which weigh 1 at most.
+/// Weights of the terms relative to observations, whose weight is at most 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stiffness {
     /// Second differences.
@@ -19,7 +19,7 @@ pub struct Stiffness {
 }
 
 impl Stiffness {
-    /// A mesh so many times as stiff.
+    /// The stiffness multiplied by `factor`.
     pub fn times(&self, factor: f64) -> Self {
         let Self { bend, slope, place } = *self;
         Self { bend: bend * factor, slope: slope * factor, place }
@@ -32,14 +32,14 @@ pub struct Energy {
     columns: usize,
     rows: usize,
     stiffness: Stiffness,
-    /// The terms that no frame changes.
+    /// The terms that do not depend on the frame.
     fixed: BandMatrix,
     matrix: BandMatrix,
     right: Vec<[f64; 2]>,
 }
 
 impl Energy {
-    /// Sets the lattice; work is done only when something changes.
+    /// Sets the lattice; does nothing if it is unchanged.
     pub fn reset(&mut self, columns: usize, rows: usize, stiffness: Stiffness) {
         if (self.columns, self.rows, self.stiffness) == (columns, rows, stiffness) {
             return;
@@ -109,7 +109,7 @@ impl Energy {
         }
     }
 
-    /// Writes the displacements that fit best, row after row. `false` when there is no single solution.
+    /// Writes the displacements that fit best, row after row. `false` if there is no unique solution.
     pub fn solve(&mut self, out: &mut [[f64; 2]], simd: Simd) -> bool {
         if !self.matrix.factor(simd) {
             return false;

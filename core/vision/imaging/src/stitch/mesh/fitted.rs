@@ -1,13 +1,13 @@
-//! The inverse of the mesh that fits: which point of the reference view the other view shows at a position.
+//! The inverse of the fitted mesh: the point of the reference view that the other view shows at a position.
 
 use super::{Lattice, MIN_MOVE_PX};
 use crate::geometry::{Homography, Point, length};
 
-/// Steps of the search. Each leaves at most 0.6 of the error where the disparity changes by 0.6 px a px.
+/// Steps of the search. Each reduces the error to at most 0.6 of it if the disparity changes by 0.6 px per px.
 const STEPS: usize = 16;
 /// A search ends when a step is shorter, px.
 const DONE_PX: f64 = 0.01;
-/// A vertex is moved by at most this many cells: what lies further off has been folded over.
+/// Maximum displacement of a vertex in cells; beyond it the mesh is folded.
 const MAX_CELLS: f64 = 3.0;
 
 /// The mesh that fits the observations: from the reference view to the other one.
@@ -15,7 +15,7 @@ const MAX_CELLS: f64 = 3.0;
 pub struct Fitted<'a> {
     /// The vertices.
     pub lattice: &'a Lattice,
-    /// Where the homography puts them, px of the other view.
+    /// Positions by the homography, px of the other view.
     pub base: &'a [Point],
     /// Their displacement against it.
     pub shift: &'a [Point],
@@ -24,8 +24,8 @@ pub struct Fitted<'a> {
 }
 
 impl Fitted<'_> {
-    /// For each vertex the point of the reference view that the other view shows at `drawn`; leaves `out` empty when that is the vertex itself
-    /// everywhere. Beyond the mesh the displacement of its rim goes on.
+    /// For each vertex the point of the reference view that the other view shows at `drawn`; leaves `out` empty if that
+    /// is the vertex itself everywhere. Beyond the mesh the displacement of its rim is continued.
     pub fn find(&self, drawn: &[Point], out: &mut Vec<Point>) {
         out.clear();
         let mut is_moved = false;
@@ -57,7 +57,8 @@ impl Fitted<'_> {
         at
     }
 
-    /// Where a point of the reference view is drawn by the homography from its place in the other view; `None` outside the mesh.
+    /// Position at which the homography draws a point of the reference view from its position in the other view; `None`
+    /// outside the mesh.
     fn at(&self, at: Point) -> Option<Point> {
         let (cell, t) = self.lattice.cell_of(at)?;
         let of = |vertex: usize| {

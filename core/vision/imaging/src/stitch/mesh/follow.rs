@@ -1,4 +1,4 @@
-//! The mesh over time: fitted to each disparity map, steady while nothing moves, held while nothing is seen.
+//! The mesh over time: fitted to each disparity map, stable while nothing moves, kept while nothing is observed.
 
 mod gauge;
 mod whole;
@@ -18,21 +18,23 @@ use super::{Lattice, Mesh};
 use crate::geometry::{Homography, Point, length, overlap_roi};
 use crate::{Parallel, Simd, View};
 
-/// Columns of a view that lengths of [`MeshParams`] refer to.
+/// Width of the view to which lengths of [`MeshParams`] refer, columns.
 const REFERENCE_COLUMNS: f64 = 640.0;
-/// Cells that the mesh reaches beyond the other view's corners.
+/// Extent of the mesh beyond the other view's corners, cells.
 const MARGIN_CELLS: f64 = 2.5;
-/// Cells beyond those before the mesh is cut down.
+/// Additional cells before the mesh is reduced.
 const SPARE_CELLS: i32 = 6;
-/// Vertices at most: a homography that needs more is no plausible one.
+/// Maximum number of vertices; a homography that needs more is implausible.
 const MAX_VERTICES: usize = 8192;
-/// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the sides towards which its camera
-/// stands, and on the others, where the perspective of far corners is no overlap.
+/// The other view reaches beyond a side of the reference view when it does so by more than this many cells: on the
+/// sides towards which its camera stands, and on the others, where the perspective of far corners does not count as
+/// overlap.
 const BEYOND_CELLS: [f64; 2] = [1.0, 4.0];
-/// Observations per cell, each way, beside which the stiffness is meant; more of them count less each.
+/// Reference number of observations per cell and direction for the stiffness; more observations have less weight each.
 const WEIGHED_OBSERVATIONS: f64 = 2.0;
-/// Multiples of the stiffness and of the outlier limit in the passes of a first fit; the first pass weighs all observations alike. A stiff mesh follows
-/// what most of the picture shows and finds an instrument off; a mesh that is soft from the start would follow it.
+/// Multiples of the stiffness and of the outlier limit in the passes of a first fit; the first pass weighs all
+/// observations alike. A stiff mesh follows most of the image and treats an instrument as an outlier; a soft mesh would
+/// follow it.
 const FIRST_PASSES: [(f64, f64); 9] = [
     (1000.0, f64::INFINITY),
     (1000.0, 2.5),
@@ -44,24 +46,24 @@ const FIRST_PASSES: [(f64, f64); 9] = [
     (1.0, 2.0),
     (1.0, 1.0),
 ];
-/// Square of the multiple of the outlier limit from which on an observation does not count: nothing else holds the mesh where an instrument hides the
-/// tissue, so that even a weak pull would bring it there.
+/// Square of the multiple of the outlier limit above which an observation is ignored: where an instrument hides the
+/// tissue, even a weak pull would move the mesh to it.
 const MAX_SQUARE: f64 = 4.0;
-/// What the multiples are of.
+/// Base of the multiples.
 const FIRST_STIFFNESS: Stiffness = Stiffness { bend: 0.05, slope: 0.02, place: 1e-4 };
-/// Passes after those, at most, until none moves the mesh by more than [`SETTLED_PX`]: what lies at the end of a slope counts only when the mesh has
-/// come near.
+/// Passes after those, at most, until none moves the mesh by more than [`SETTLED_PX`]: observations at the end of a
+/// slope are used only when the mesh is near.
 const SETTLE_PASSES: usize = 6;
 const SETTLED_PX: f64 = 0.2;
-/// Cells beyond a border for whose vertices the mesh is solved. Those further off follow the last ones: [`Relax`] replaces them. With 2 a steep scene
-/// at 20 mm lost two thirds of its accuracy; from 4 on hardly anything changes.
+/// Cells beyond a border for whose vertices the mesh is solved. Those further off follow the last ones: [`Relax`]
+/// replaces them. With 2 a steep scene at 20 mm lost two thirds of its accuracy; above 4 hardly anything changes.
 const SOLVED_BEYOND_CELLS: f64 = 6.0;
-/// A mesh that moves by less than this stays as it is, px of the pictures: what follows from it need not be computed again.
+/// Movement below which the mesh is kept, px of the images, so that dependent data need not be recomputed.
 const DEAD_BAND_PX: f64 = 0.02;
-/// Share of the outlier limit from which on an observation where an instrument was does not count.
+/// Share of the outlier limit above which an observation at a former instrument is ignored.
 const FRONT_PX: f64 = 0.35;
-/// The mesh starts afresh when the share of the lines in which nothing is observed falls by more than this: where it guessed it may be so far off that
-/// what is observed there now would pass for mistakes.
+/// Decrease of the share of unobserved lines at which the mesh restarts, because its extrapolation may be so wrong that
+/// new observations would count as outliers.
 const LESS_BLIND: f64 = 0.1;
 
 /// Parameters of [`MeshFollower`]. Lengths are in pixels of a view with 640 columns and grow with the view.
@@ -77,37 +79,38 @@ pub struct MeshParams {
     pub agree_px: f64,
     /// Observations on one surface below which none of them counts.
     pub min_patch: usize,
-    /// Weight of second differences beside an observation's: how smooth the mesh is.
+    /// Weight of second differences relative to an observation: the smoothness of the mesh.
     pub bend: f64,
-    /// Weight of first differences: how soon it fades into the shifted homography where nothing is observed.
+    /// Weight of first differences: how fast it fades into the shifted homography without observations.
     pub slope: f64,
-    /// Largest relative change of a length where only the other view sees.
+    /// Largest relative change of a length where only the other view is visible.
     pub max_stretch: f64,
-    /// Width of the zone before the border of the reference view in which the mesh leaves what it observes for that; 0 leaves nothing, and the mesh
-    /// fades beyond the border by its slopes alone.
+    /// Width of the zone before the border of the reference view in which the mesh changes to its extrapolation; with 0
+    /// it fades beyond the border by its slopes alone.
     pub zone_px: f64,
-    /// Distance from the mesh at which an observation counts a quarter; one twice as far off does not count.
+    /// Distance from the mesh at which an observation has a quarter of its weight; at twice the distance it is ignored.
     pub outlier_px: f64,
-    /// Weight of the frame before while the views move.
+    /// Weight of the previous frame while the views move.
     pub hold_moving: f64,
-    /// Weight that is added while they are still.
+    /// Additional weight while the views are still.
     pub hold_still: f64,
-    /// Motion at which the added weight counts half.
+    /// Motion at which the additional weight is halved.
     pub still_px: f64,
-    /// The seam keeps this far from what the mesh does not follow.
+    /// Distance of the seam from content that the mesh does not follow.
     pub margin_px: f64,
-    /// Motion from which on the mesh starts afresh.
+    /// Motion above which the mesh restarts.
     pub jump_px: f64,
-    /// Observations further from the homography are mistakes.
+    /// Maximum distance of a valid observation from the homography.
     pub reach_px: f64,
     /// Observations below which the mesh is held.
     pub min_observations: usize,
-    /// Finds instruments in front of the tissue, tells which view must show each, and does not bend it there; for two views.
+    /// Whether instruments in front of the tissue are found, shown by one view each, and not bent; for two views.
     pub keeps_instruments: bool,
-    /// Draws the reference view along in the zone, by [`MeshFollower::reference_mesh`], so that both views fit there too.
+    /// Whether the reference view is also warped in the zone, by [`MeshFollower::reference_mesh`], so that both views
+    /// fit there too.
     pub moves_reference: bool,
-    /// Where the other camera stands, in units of the baseline of the disparity: `[1, 0]` for the right one of a pair, `[0, 1]` for one as far below
-    /// the left one.
+    /// Position of the other camera, in units of the disparity's baseline: `[1, 0]` for the right one of a pair, `[0,
+    /// 1]` for one equally far below the left one.
     pub along: [f64; 2],
 }
 
@@ -138,20 +141,21 @@ impl Default for MeshParams {
     }
 }
 
-/// What one frame did to the mesh.
+/// Report of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeshReport {
     /// Observations used.
     pub observations: usize,
-    /// Share of the lines of cells in what both views see, across the border between them, in which nothing is observed: the mesh guesses there.
+    /// Share of the lines of cells in what both views see, across the border between them, without observations, where
+    /// the mesh extrapolates.
     pub blind: f64,
     /// Median distance of the observations from the mesh, px; NaN while it is held.
     pub residual_px: f64,
-    /// Motion of the observations against the mesh of the frame before, px; NaN without one.
+    /// Motion of the observations relative to the mesh of the previous frame, px; NaN without one.
     pub motion_px: f64,
-    /// Too little was observed: the mesh keeps its displacement against the homography.
+    /// Whether the mesh kept its displacement from the homography, because there were too few observations.
     pub is_held: bool,
-    /// The mesh started afresh.
+    /// Whether the mesh restarted.
     pub is_new: bool,
 }
 
@@ -174,25 +178,26 @@ pub struct MeshFollower {
     /// Without vertices before the first good frame.
     mesh: Mesh,
     lattice: Lattice,
-    /// Where the homography puts the vertices, px of the other view.
+    /// Positions of the vertices by the homography, px of the other view.
     base: Vec<Point>,
-    /// Displacement of the vertices against it that fits the observations.
+    /// Fitted displacement of the vertices from it.
     shift: Vec<Point>,
     /// Columns and rows of the vertices that are solved for, and their displacements.
     solved: [Range<usize>; 2],
     solution: Vec<Point>,
-    /// Positions of the vertices in the other view, px, continued where only the other view sees.
+    /// Positions of the vertices in the other view, px, extrapolated where only the other view is visible.
     drawn: Vec<Point>,
-    /// Positions in the reference view of what the vertices show: their own, but where the mesh changes over to its continuation.
+    /// Positions in the reference view of the content at the vertices: their own, except where the mesh changes to its
+    /// extrapolation.
     shown: Vec<Point>,
     /// The mesh of the reference view.
     reference: Mesh,
-    /// The same, and the positions, of the frame before on this frame's lattice.
+    /// Displacements of the previous frame on this frame's lattice.
     shift_before: Vec<Point>,
     before: Vec<Point>,
     observations: Observations,
     located: Vec<Located>,
-    /// Observations that the mesh does not follow: far from the homography, or few. They may show an instrument.
+    /// Observations that the mesh does not follow, far from the homography or few, which may show an instrument.
     loose: Vec<Located>,
     hints: InstrumentHints,
     instruments: Instruments,
@@ -223,7 +228,7 @@ impl MeshFollower {
         self.params = params;
     }
 
-    /// What a detector says about instruments, until it is changed.
+    /// Detections of instruments, which stay valid until they are changed.
     pub fn hints_mut(&mut self) -> &mut InstrumentHints {
         &mut self.hints
     }
@@ -240,12 +245,12 @@ impl MeshFollower {
         self.scaled.clear();
     }
 
-    /// The mesh, and that of the reference view, between pictures as large as the map.
+    /// The mesh, and that of the reference view, between images as large as the map.
     pub(super) fn of_map(&self) -> [&Mesh; 2] {
         [&self.mesh, &self.reference]
     }
 
-    /// Brings the mesh up to a frame, with a map as large as the pictures.
+    /// Updates the mesh with a frame whose map has the size of the images.
     pub(super) fn update_map(
         &mut self,
         disparity: View<'_, f32>,
@@ -344,7 +349,7 @@ impl MeshFollower {
         report
     }
 
-    /// The lattice for this homography: the one in force while it fits.
+    /// The lattice for this homography: the current one while it fits.
     fn cover(&self, left_from_right: &Homography, size: (usize, usize), scale: f64) -> Option<Lattice> {
         let corners = left_from_right.map_corners(size.0, size.1)?;
         let cell_px = ((self.params.cell_px * scale).round() as usize).max(8);
@@ -369,7 +374,7 @@ impl MeshFollower {
         (columns.saturating_mul(rows) <= MAX_VERTICES).then_some(lattice)
     }
 
-    /// Puts the homography, and what the frame before knew, on the lattice of this frame.
+    /// Transfers the homography and the state of the previous frame to the lattice of this frame.
     fn carry_over(&mut self, lattice: Lattice, left_from_right: &Homography, size: (usize, usize)) -> bool {
         let Some(back) = left_from_right.inverse_bounded() else { return false };
         let old = self.lattice;
@@ -427,7 +432,7 @@ impl MeshFollower {
         }
     }
 
-    /// Solves without a frame before.
+    /// Solves without a previous frame.
     fn fit_first(&mut self, stiffness: Stiffness, limit_px: f64) -> bool {
         let [columns, rows] = [0, 1].map(|axis| self.solved[axis].len());
         self.shift.clear();
@@ -439,7 +444,7 @@ impl MeshFollower {
         }) && self.settle(limit_px)
     }
 
-    /// Repeats a pass of a first fit until the mesh rests.
+    /// Repeats a pass of a first fit until the mesh converges.
     fn settle(&mut self, limit_px: f64) -> bool {
         for _ in 0..SETTLE_PASSES {
             self.shift_before.clone_from(&self.shift);
@@ -454,7 +459,7 @@ impl MeshFollower {
         true
     }
 
-    /// One solution with weights from the distances to the mesh so far. `hold` is the weight of the frame before.
+    /// One solution with weights from the distances to the mesh so far. `hold` is the weight of the previous frame.
     fn pass(&mut self, limit_px: f64, hold: f64) -> bool {
         self.energy.begin();
         let (lattice, shift, [columns, rows]) = (self.lattice, &self.shift, &self.solved);
@@ -514,7 +519,8 @@ impl MeshFollower {
         borders(cells.map(|cells| cells * self.lattice.cell_px as f64), left_from_right, left, right)
     }
 
-    /// Columns and rows of the vertices that the picture depends on: not those beyond a border where the mesh is continued.
+    /// Columns and rows of the vertices that the image depends on: without those beyond a border where the mesh is
+    /// extrapolated.
     fn needed(&self, borders: &[Option<Border>; 4], scale: f64) -> [Range<usize>; 2] {
         let lattice = self.lattice;
         let mut needed = [0..lattice.columns, 0..lattice.rows];
@@ -531,7 +537,7 @@ impl MeshFollower {
         needed
     }
 
-    /// Sets what is drawn: the mesh that fits, continued where only the other view sees.
+    /// Sets the drawn positions: the fitted mesh, extrapolated where only the other view is visible.
     fn go_on(&mut self, left_from_right: &Homography, left: (usize, usize), right: (usize, usize)) {
         self.drawn.clear();
         self.drawn
@@ -545,7 +551,7 @@ impl MeshFollower {
         }
     }
 
-    /// Makes the solution the mesh of this frame. A `steady` one that hardly differs from the mesh in force leaves it alone.
+    /// Makes the solution the mesh of this frame. With `steady`, a solution that hardly differs keeps the current mesh.
     fn publish(&mut self, steady: bool) {
         let mesh = &mut self.mesh;
         let positions = self.drawn.iter().copied();

@@ -1,11 +1,11 @@
-//! What a detector says about instruments in the reference view.
+//! Detections of instruments in the reference view.
 
 use crate::View;
 
 /// Spacing of the kept samples of a mask, px.
 const MASK_STEP: usize = 4;
 
-/// What is known of a place before its disparity is read.
+/// Knowledge of a position before its disparity is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Hint {
     Nothing,

@@ -96,7 +96,7 @@ fn drawn_px(mesh: &Mesh, [u, v]: Point) -> f64 {
     x - u
 }
 
-/// Smallest and largest displacement of the edges of a shaft whose picture in the right view ends at column `end`.
+/// Smallest and largest displacement of the edges of a shaft whose image in the right view ends at column `end`.
 fn bend(mesh: &Mesh, shaft: Shaft, columns: std::ops::Range<i32>) -> [f64; 2] {
     let of = |u: f64| [-25.0, 0.0, 25.0].map(|off| drawn_px(mesh, [u, Shaft::middle(u + TOOL_PX) + off]));
     assert!(shaft.is_from_right);

@@ -1,43 +1,45 @@
 //! Instruments in front of the tissue, found by steps of disparity, and the view that shows each of them.
 //!
-//! The cells of the reference view whose disparity lies before the mesh make up instruments; metal is often unmatched, so that unmatched cells beside
-//! them count as well. An instrument is drawn at two positions: by the reference view where it is, by the other view displaced by its parallax. The
-//! panorama shows it whole when one view shows both and all between.
+//! The cells of the reference view whose disparity lies before the mesh make up instruments; metal is often unmatched,
+//! so that unmatched cells next to them count as well. An instrument has two positions: its own in the reference view,
+//! and one displaced by its parallax in the other view. The panorama shows it completely if one view shows both
+//! positions and everything between them.
 
 use super::hints::{Hint, InstrumentHints};
 use super::kept::{Keep, Kept, KeptCells};
 use super::observe::Observations;
 use crate::geometry::Point;
 
-/// Instruments that are followed at a time.
+/// Maximum number of tracked instruments.
 pub const MAX_INSTRUMENTS: usize = 8;
-/// Parallax against the mesh from which on a cell shows an instrument, px of a view of 640 columns; inside the box of a detector less is enough.
+/// Parallax against the mesh of a cell that shows an instrument, px of a view of 640 columns; less is required inside a
+/// detector's box.
 const SEED_PX: f32 = 12.0;
 const HINTED_SEED_PX: f32 = 6.0;
 /// Parallax of further cells of it.
 const GROW_PX: f32 = 5.0;
-/// Seeds of an instrument at least: chance matches make smaller pieces.
+/// Minimum number of seeds of an instrument; random matches make smaller pieces.
 const MIN_SEEDS: usize = 36;
 const MIN_HINTED_SEEDS: usize = 6;
-/// Cells of an instrument lie this many cells apart at most, and their parallax differs by at most [`MAX_STEP_PX`] per cell on the way.
+/// Maximum distance between cells of an instrument; their parallax differs by at most [`MAX_STEP_PX`] per cell.
 const GAP_CELLS: usize = 2;
 const MAX_STEP_PX: f32 = 4.0;
-/// Unmatched cells this far from a matched one of an instrument belong to it.
+/// Maximum distance of unmatched cells from a matched one of their instrument.
 const UNMATCHED_CELLS: u8 = 14;
-/// What covers more than this share of the cells is the scene.
+/// Maximum share of the cells of an instrument; larger objects are the scene.
 const MAX_SHARE: f64 = 0.45;
-/// An instrument that takes part in a piece holds this share of its cells.
+/// Minimum share of a piece's cells of an instrument that takes part in it.
 const MIN_VOTES: f64 = 0.15;
-/// Frames that an instrument is kept when it is not found.
+/// Frames for which an instrument is kept when it is not found.
 const KEPT_FRAMES: u32 = 6;
-/// Frames in a row that the other view must be the better one before it shows the instrument.
+/// Consecutive frames in which the other view must be better before it shows the instrument.
 const SWITCH_FRAMES: u32 = 8;
-/// An instrument that comes nearer to the border of a view than this is cut off there, px.
+/// Distance from the border of a view below which an instrument counts as cut off, px.
 const BORDER_PX: f64 = 16.0;
-/// Cells at a border of a view that show that an instrument is cut off by it.
+/// Minimum number of cells at a border of an instrument that is cut off by it.
 const MIN_CUT: usize = 2;
 
-/// Pieces that meet in unmatched cells are one instrument where those lie within so many cells of both.
+/// Maximum distance of shared unmatched cells from both pieces of one instrument.
 const MAX_CONTACT: u8 = 8;
 
 /// Cells at the border of the reference view, and at that of the other view.
@@ -53,31 +55,32 @@ fn is_cut_twice(a: Cut, b: Cut) -> bool {
 pub struct Track {
     /// View that shows it; free for an unused slot.
     pub view: Kept,
-    /// Displacement against the homography that its picture in the other view has, px.
+    /// Displacement of its image in the other view from the homography, px.
     pub shift: Option<Point>,
-    /// Change of the position across the border with that along it, of an instrument that the border of the reference view cuts off.
+    /// Slope of an instrument that is cut off by the border of the reference view: change of the position across the
+    /// border per position along it.
     pub slope: Option<f64>,
     missing_frames: u32,
     pending_frames: u32,
 }
 
-/// How instruments lie to the views.
+/// Geometry of the views for instruments.
 #[derive(Clone, Copy, Debug)]
 pub struct Arrangement {
-    /// Where the other camera stands, in baselines.
+    /// Position of the other camera, in baselines.
     pub along: [f64; 2],
-    /// Px of the map by which lengths of a view of 640 columns grow.
+    /// Scale of lengths from a view of 640 columns to px of the map.
     pub scale: f64,
-    /// What both views see, in cells: first and last column and row.
+    /// Overlap of the views, in cells: first and last column and row.
     pub shared: [[usize; 2]; 2],
-    /// Pixels of the pictures per pixel of the map.
+    /// Pixels of the images per pixel of the map.
     pub factor: usize,
-    /// How far around an instrument its view is kept, px of the map; half as far for sure.
+    /// Distance around an instrument in which its view is kept, px of the map; half of it with certainty.
     pub margin_px: f64,
 }
 
 impl Arrangement {
-    /// 0 when the other camera stands more beside than below, else 1.
+    /// 0 if the other camera is displaced more horizontally than vertically, else 1.
     pub fn axis(&self) -> usize {
         usize::from(self.along[1].abs() > self.along[0].abs())
     }
@@ -88,7 +91,8 @@ impl Arrangement {
     }
 }
 
-/// How much nearer than the mesh a point is that lies so far from it in the other view, px. `along`: where the other camera stands.
+/// Parallax relative to the mesh of a point with displacement `off` in the other view, px. `along`: position of the
+/// other camera.
 pub fn nearer_px([x, y]: [f64; 2], off: Point) -> f64 {
     -(off[0] * x + off[1] * y) / (x * x + y * y).sqrt().max(1e-9)
 }
@@ -101,20 +105,21 @@ pub struct Instruments {
     rows: usize,
     /// Parallax against the mesh, px; NaN where unmatched.
     nearer: Vec<f32>,
-    /// Number of the instrument that the reference view shows in a cell, from 1; 0 for none. Then that of the frame before, and the parallax there.
+    /// Number of the instrument that the reference view shows in a cell, from 1; 0 for none. The number of the previous
+    /// frame and the parallax follow.
     own: Vec<u8>,
     before: Vec<u8>,
     nearer_before: Vec<f32>,
-    /// The same for what either view draws there, and for the part of that which is matched.
+    /// Number of the instrument that either view draws in a cell.
     drawn: Vec<u8>,
     sure: Vec<u8>,
     is_visited: Vec<bool>,
     depth: Vec<u8>,
     queue: Vec<usize>,
     line: Vec<u8>,
-    /// Columns and rows from a cell to those on the way to where the other view draws it.
+    /// Offsets in columns and rows from a cell to those on the way to its position in the other view.
     steps: Vec<[isize; 2]>,
-    /// Of the instruments of this frame.
+    /// Cut-offs of this frame's instruments.
     cuts: [Cut; MAX_INSTRUMENTS],
     tracks: [Track; MAX_INSTRUMENTS],
 }
@@ -141,7 +146,8 @@ impl Instruments {
         self.own.resize(count, 0);
     }
 
-    /// A matched cell, so many px nearer than the mesh. Those at the rim, which are compared with less of their surroundings, count as unmatched.
+    /// Sets a matched cell that is `nearer_px` nearer than the mesh. Cells at the rim, which are compared with fewer
+    /// neighbours, count as unmatched.
     pub fn set(&mut self, cell: usize, nearer_px: f64) {
         let (x, y) = (cell % self.columns, cell / self.columns);
         if x > 0 && y > 0 && x + 1 < self.columns && y + 1 < self.rows {
@@ -149,7 +155,7 @@ impl Instruments {
         }
     }
 
-    /// Whether a cell showed an instrument, in either view, in the frame before.
+    /// Whether a cell showed an instrument, in either view, in the previous frame.
     pub fn was_at(&self, cell: usize) -> bool {
         self.drawn.get(cell).is_some_and(|label| *label != 0)
     }
@@ -159,7 +165,7 @@ impl Instruments {
         self.tracks.iter().any(|track| track.view != Kept::Free)
     }
 
-    /// Centre of each cell that shows an instrument, px, and its number; in the reference view alone, or in either view.
+    /// Centre of each cell that shows an instrument, px, and its number; in the reference view only, or in either view.
     pub fn cells(&self, in_either: bool) -> impl Iterator<Item = (Point, usize)> {
         let labels = if in_either { &self.drawn } else { &self.own };
         let centre = |index: usize| (index as f64 + 0.5) * self.cell_px as f64;
@@ -177,7 +183,7 @@ impl Instruments {
         &self.tracks[number - 1]
     }
 
-    /// The same, to be changed.
+    /// The mutable instrument of this number, from 1.
     pub fn track_mut(&mut self, number: usize) -> &mut Track {
         &mut self.tracks[number - 1]
     }
@@ -269,14 +275,14 @@ impl Instruments {
         }
     }
 
-    /// Whether a cell lies at the border of the reference view beyond which the other view reaches.
+    /// Whether a cell is at the border of the reference view beyond which the other view reaches.
     fn is_at_border(&self, place: [usize; 2], how: &Arrangement) -> bool {
         let border = (BORDER_PX * how.scale / self.cell_px as f64).round().max(1.0) as usize;
         let (place, size) = (place[how.axis()], [self.columns, self.rows][how.axis()]);
         if how.is_beyond_end() { place + border >= size } else { place < border }
     }
 
-    /// Where borders of views cut a piece off.
+    /// The borders of views that cut a piece off.
     fn cut_of(&self, piece: &[usize], observations: &Observations, how: &Arrangement) -> Cut {
         let axis = how.axis();
         let size = [self.columns, self.rows][axis];
@@ -359,7 +365,7 @@ impl Instruments {
             .find(|label| *label != 0)
     }
 
-    /// Adds the unmatched cells beside instruments, with the parallax of the nearest matched one.
+    /// Adds the unmatched cells next to instruments, with the parallax of the nearest matched one.
     fn add_unmatched(&mut self, how: &Arrangement, hints: &InstrumentHints) {
         self.queue.clear();
         self.queue.extend((0..self.own.len()).filter(|cell| self.own[*cell] != 0));
@@ -392,7 +398,7 @@ impl Instruments {
         }
     }
 
-    /// Makes one instrument of those that touch, as jaws do, unless different views show them.
+    /// Joins instruments that touch, such as jaws, unless different views show them.
     fn join_pieces(&mut self) {
         let mut cuts = self.cuts;
         let mut same: [u8; MAX_INSTRUMENTS + 1] = std::array::from_fn(|label| label as u8);
@@ -457,7 +463,8 @@ impl Instruments {
         }
     }
 
-    /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it before.
+    /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it
+    /// before.
     fn choose(&mut self, how: &Arrangement) {
         let axis = how.axis();
         // Count, first and second moments.
@@ -502,8 +509,8 @@ impl Instruments {
         }
     }
 
-    /// Sets `drawn`: where the reference view shows the instruments, where the other view draws them, and all between; and `sure`, the same for what
-    /// is matched.
+    /// Sets `drawn`: the instruments' positions in the reference view, in the other view, and all cells in between; and
+    /// `sure`, the same for matched cells.
     fn draw(&mut self, how: &Arrangement) {
         self.drawn.clone_from(&self.own);
         let [x, y] = how.along;
@@ -531,7 +538,7 @@ impl Instruments {
         }
     }
 
-    /// Keeps the view of each instrument in all cells around what is drawn of it.
+    /// Keeps the view of each instrument in all cells around its drawn cells.
     fn keep_views(&mut self, how: &Arrangement, kept: &mut KeptCells) {
         if !self.is_any() {
             self.drawn.clear();
@@ -564,7 +571,7 @@ impl Instruments {
     }
 }
 
-/// Copies a line of numbers, and carries each up to `reach` cells further where there is none.
+/// Copies a line of numbers, and extends each by up to `reach` empty cells.
 fn spread(from: &[u8], to: &mut [u8], reach: usize) {
     to.copy_from_slice(from);
     // Where the numbers before have reached.

@@ -1,27 +1,27 @@
-//! Which view must show a place: instruments are whole only where one view shows all of them.
+//! View that must show a position, so that each instrument is shown completely by one view.
 
-/// View that a place must be shown from.
+/// View that must show a position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Kept {
     /// Either view.
     #[default]
     Free,
-    /// The reference view, and those before.
+    /// The reference view or an earlier view.
     Reference,
-    /// The view that the mesh draws.
+    /// The view drawn by the mesh.
     Other,
 }
 
-/// The view that must show a place, and how much that matters.
+/// The view that must show a position, with its certainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Keep {
     /// The view.
     pub view: Kept,
-    /// An instrument is known to be there. Else it is only likely: the place lies beside one, or nothing is matched there.
+    /// Whether an instrument is certain there; otherwise it is likely: the position is next to one, or unmatched.
     pub is_sure: bool,
 }
 
-/// The view that must show each cell of the reference view; without cells where all are free.
+/// The view that must show each cell of the reference view; empty if all are free.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct KeptCells {
     cell_px: usize,
@@ -60,13 +60,13 @@ impl KeptCells {
         &mut self.cells
     }
 
-    /// Takes over another one in the memory that is there.
+    /// Copies another one into the existing memory.
     pub fn copy_from(&mut self, other: &Self) {
         (self.cell_px, self.columns) = (other.cell_px, other.columns);
         self.cells.clone_from(&other.cells);
     }
 
-    /// Becomes the one on pictures that are larger by a factor.
+    /// Becomes the one on images that are larger by a factor.
     pub fn enlarge(&mut self, small: &Self, factor: usize) {
         self.copy_from(small);
         self.cell_px *= factor;

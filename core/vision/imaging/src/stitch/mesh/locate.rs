@@ -4,7 +4,7 @@ use super::super::warp::{self, BLOCK, Block, GROUP, Line, NODES, Source, Span};
 use super::Mesh;
 use crate::Rect;
 
-/// A mesh seen from an output picture: pixel `(x, y)` of it lies at `origin + step * (x, y)` on the reference plane.
+/// A mesh relative to an output image, whose pixel `(x, y)` is at `origin + step * (x, y)` on the reference plane.
 #[derive(Clone, Copy, Debug)]
 pub struct MeshGrid<'a> {
     /// The mesh.
@@ -15,10 +15,10 @@ pub struct MeshGrid<'a> {
     pub step: f32,
 }
 
-/// Where output pixels read a view.
+/// Mapping from output pixels to a view.
 #[derive(Clone, Copy, Debug)]
 pub enum Mapping<'a> {
-    /// By a matrix from output pixels to the view's; its third row is positive where the view lies.
+    /// By a matrix from output pixels to the view's; its third row is positive inside the view.
     Plane(&'a [f64; 9]),
     /// By a mesh.
     Mesh(MeshGrid<'a>),
@@ -102,7 +102,7 @@ impl MeshGrid<'_> {
         }
     }
 
-    /// Columns of each output row, inside the bounds `moved`, of cells with a vertex that does not lie at its own position in the view.
+    /// Columns of each output row, inside the bounds `moved`, of cells with a displaced vertex.
     pub fn moved_spans(&self, (columns, rows): (usize, usize), moved: Rect, spans: &mut Vec<Span>) {
         let lattice = &self.mesh.lattice;
         let cell = lattice.cell_px as f32;

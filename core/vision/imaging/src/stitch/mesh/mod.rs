@@ -1,10 +1,11 @@
-//! Warps that follow the disparity: a mesh over the reference plane tells where each of its points lies in the other view.
+//! Warps that follow the disparity: a mesh over the reference plane maps each of its points to the other view.
 //!
-//! One homography cannot join two views with parallax. [`MeshFollower`] measures where the points that both views see lie in the other view, fits a
-//! smooth mesh to them, and continues it where only one view sees so that lengths are kept. A [`Compositor`](super::Compositor) draws
-//! a view by a [`Mesh`] instead of its homography.
+//! One homography cannot join two views with parallax. [`MeshFollower`] measures where the points that both views see
+//! lie in the other view, fits a smooth mesh to them, and extrapolates it where only one view is visible so that
+//! lengths are preserved. A [`Compositor`](super::Compositor) draws a view by a [`Mesh`] instead of its homography.
 //!
-//! F. Liu et al., "Content-preserving warps for 3D video stabilization", ACM TOG 28 (2009), is the same idea for one moving camera.
+//! F. Liu et al., "Content-preserving warps for 3D video stabilization", ACM TOG 28 (2009), use the same idea for one
+//! moving camera.
 
 mod band;
 mod border;
@@ -34,7 +35,7 @@ use crate::geometry::Point;
 use doubt::Doubt;
 use kept::KeptCells;
 
-/// A vertex that differs from its own position by less is not moved, px.
+/// Displacement below which a vertex counts as not displaced, px.
 const MIN_MOVE_PX: f64 = 1e-3;
 
 /// Vertices at the multiples of `cell_px`, in a rectangle of the reference plane.
@@ -99,9 +100,9 @@ pub struct Mesh {
     lattice: Lattice,
     /// Position of each vertex in the other view, px, row after row.
     source: Vec<[f32; 2]>,
-    /// How far the mesh is from what was measured.
+    /// Distance of the mesh from the measurements.
     doubt: Doubt,
-    /// Where instruments must be shown by one view.
+    /// Positions of instruments that one view must show.
     kept: KeptCells,
 }
 
@@ -115,7 +116,8 @@ impl Mesh {
         (fits && finite).then(|| Self { lattice, source, ..Self::default() })
     }
 
-    /// A mesh from its vertices: `source(x, y)` is the position in the other view of the point `(x, y)` of the reference plane.
+    /// A mesh from its vertices: `source(x, y)` is the position in the other view of the point `(x, y)` of the
+    /// reference plane.
     ///
     /// `None` for fewer than 2 x 2 vertices, an empty cell, or a position that is not finite.
     pub fn new(lattice: Lattice, source: impl Fn(Point) -> Point) -> Option<Self> {
@@ -133,33 +135,33 @@ impl Mesh {
         &self.source
     }
 
-    /// Where a point of the reference plane lies in the other view; `None` outside the mesh.
+    /// Position in the other view of a point of the reference plane; `None` outside the mesh.
     pub fn map(&self, at: Point) -> Option<Point> {
         let (cell, t) = self.lattice.cell_of(at)?;
         Some(self.lattice.interpolate(|vertex| self.source[vertex].map(f64::from), cell, t))
     }
 
-    /// How far the mesh is from what was measured at a point of the reference plane, px; 0 outside the reference view.
+    /// Distance of the mesh from the measurements at a point of the reference plane, px; 0 outside the reference view.
     pub fn doubt_px(&self, at: [f32; 2]) -> f32 {
         self.doubt.at(at)
     }
 
-    /// The view that must show a point of the reference plane, so that an instrument is whole.
+    /// The view that must show a point of the reference plane, so that an instrument is shown completely.
     pub fn kept_at(&self, at: [f32; 2]) -> Keep {
         self.kept.at(at)
     }
 
-    /// Whether one view must be shown anywhere.
+    /// Whether a view is prescribed anywhere.
     pub fn keeps_any(&self) -> bool {
         !self.kept.is_empty()
     }
 
-    /// Itself, unless it is empty.
+    /// The mesh, unless it is empty.
     pub(super) fn given(&self) -> Option<&Self> {
         (!self.source.is_empty()).then_some(self)
     }
 
-    /// Takes over another mesh in the memory that is there. Returns whether a position changed.
+    /// Copies another mesh into the existing memory. Returns whether a position changed.
     pub(super) fn copy_from(&mut self, other: &Self) -> bool {
         self.doubt.copy_from(&other.doubt);
         self.kept.copy_from(&other.kept);
@@ -171,13 +173,13 @@ impl Mesh {
         true
     }
 
-    /// Whether a vertex does not lie at its own position in the view.
+    /// Whether a vertex is displaced in the view.
     fn is_moved(&self, column: usize, row: usize) -> bool {
         let (at, source) = (self.lattice.position(column, row), self.source[row * self.lattice.columns + column]);
         (0..2).any(|k| (f64::from(source[k]) - at[k]).abs() >= MIN_MOVE_PX)
     }
 
-    /// Bounds on the reference plane of the cells whose vertices do not lie at their own position in the view; `None` where all do.
+    /// Bounds on the reference plane of the cells with displaced vertices; `None` if there are none.
     pub(super) fn moved(&self) -> Option<[Point; 2]> {
         let cell = self.lattice.cell_px as f64;
         let mut bounds: Option<[Point; 2]> = None;
@@ -192,7 +194,7 @@ impl Mesh {
         bounds
     }
 
-    /// Forgets all vertices. Returns whether there were any.
+    /// Removes all vertices. Returns whether there were any.
     pub(super) fn clear(&mut self) -> bool {
         let was_given = !self.source.is_empty();
         self.source.clear();
@@ -200,7 +202,7 @@ impl Mesh {
         was_given
     }
 
-    /// Bounds on the reference plane of what a view of this size covers, by the edges of the cells.
+    /// Bounds on the reference plane of the area that a view of this size covers, aligned to cells.
     pub(super) fn footprint(&self, (width, height): (usize, usize)) -> Option<[Point; 2]> {
         let Lattice { columns, rows, .. } = self.lattice;
         let limit = [width as f32 - 1.0, height as f32 - 1.0];

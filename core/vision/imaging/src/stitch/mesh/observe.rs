@@ -1,4 +1,4 @@
-//! Where the points that both views see lie in the other view, cell by cell of the reference view.
+//! Positions in the other view of points that both views see, per cell of the reference view.
 
 use super::super::rectified_view::RectifiedView;
 use crate::geometry::length;
@@ -6,28 +6,30 @@ use crate::{Parallel, SharedMut, View, pieces};
 
 /// Rows of cells per chunk.
 const ROWS: usize = 4;
-/// Samples of a cell, each way, at most.
+/// Maximum number of samples of a cell per direction.
 const MAX_SAMPLES: usize = 8;
 /// Share of a cell's samples that must agree on a disparity.
 const MIN_SHARE: f32 = 0.3;
-/// Spread of the agreeing disparities around their plane at which an observation counts half, px.
+/// Spread of the agreeing disparities around their plane at which an observation has half of its weight, px.
 const HALF_SPREAD_PX: f32 = 0.7;
-/// Disparities further from the median of their cell do not determine its plane, px: slopes steeper than this in a cell are edges.
+/// Disparities further from the median of their cell are not used for its plane, px: steeper slopes in a cell are
+/// edges.
 const MAX_CLIMB_PX: f32 = 8.0;
-/// Keeps slopes small where samples lie in a line or a corner, px^2.
+/// Regularises slopes if samples are in a line or a corner, px^2.
 const FLAT_PX2: f32 = 2.0;
-/// Disparities of neighbouring cells change by at most this much per px where they lie on one surface, and by [`ONE_STEP_PX`] more for their noise.
+/// Disparities of neighbouring cells change by at most this much per px where they lie on one surface, and by
+/// [`ONE_STEP_PX`] more for their noise.
 const ONE_SLOPE: f64 = 0.8;
 const ONE_STEP_PX: f64 = 1.0;
 
-/// The matched pixels of a cell that agree; without weight when there are too few.
+/// The matched pixels of a cell that agree; with weight 0 if there are too few.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Observation {
-    /// Their middle in the reference picture, px.
+    /// Their mean position in the reference image, px.
     pub at: [f64; 2],
-    /// The same point in the other picture, px.
+    /// The same point in the other image, px.
     pub source: [f64; 2],
-    /// 0 where nothing is known, up to 1; negative where the matches are too few to count, and show small things in front at most.
+    /// 0 if unknown, up to 1; negative if there are too few matches, which can only show small objects in front.
     pub weight: f32,
 }
 
@@ -88,7 +90,8 @@ impl Observations {
         });
     }
 
-    /// Drops the observations of surfaces with fewer than `least` cells: where the views share nothing, matches agree by chance, but not for long.
+    /// Drops the observations of surfaces with fewer than `least` cells: without overlap, matches agree by chance, but
+    /// only over few cells.
     pub fn keep_patches(&mut self, least: usize) {
         if least < 2 {
             return;
@@ -122,16 +125,17 @@ impl Observation {
     }
 }
 
-/// How a disparity map is read.
+/// Parameters for reading a disparity map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampling {
     /// Side of a cell, px.
     pub cell_px: usize,
     /// Spacing of the disparities that are read.
     pub step_px: usize,
-    /// Pixels of a cell agree when their disparities lie within this of a plane.
+    /// Maximum distance from a plane of the disparities of agreeing pixels.
     pub agree_px: f32,
-    /// Where the other camera stands, in units of the baseline of the disparity: a point at `(x, y)` lies at `(x, y) - disparity * along` there.
+    /// Position of the other camera, in units of the disparity's baseline: a point at `(x, y)` is at `(x, y) -
+    /// disparity * along` in its view.
     pub along: [f64; 2],
 }
 
@@ -198,7 +202,7 @@ fn cell(map: View<'_, f32>, column: usize, row: usize, sampling: &Sampling) -> O
 /// Disparity of a pixel, and its position in the cell.
 type Sample = [f32; 3];
 
-/// The slope of the disparities in a cell, so that those of steep tissue agree as well.
+/// The slope of the disparities in a cell, so that disparities of steep tissue agree too.
 struct Plane {
     middle: [f32; 2],
     /// At the middle, from the median.
@@ -207,7 +211,7 @@ struct Plane {
 }
 
 impl Plane {
-    /// Least squares over the samples near the median; there is one at least.
+    /// Least squares over the samples near the median; at least one is required.
     fn of(samples: &[Sample], median: f32) -> Self {
         let (mut count, mut x, mut y, mut d) = (0.0f32, 0.0, 0.0, 0.0);
         let (mut xx, mut xy, mut yy, mut xd, mut yd) = (0.0f32, 0.0, 0.0, 0.0, 0.0);

@@ -1,9 +1,10 @@
-//! What the mesh becomes beyond what both views see: it goes on smoothly, so that lengths are kept.
+//! Extrapolation of the mesh beyond the overlap: smooth, so that lengths are preserved.
 //!
-//! At the border of the reference view the mesh has the folds of the tissue that the border cuts. Where only the other view sees, nothing says how they
-//! go on, and any continuation stretches the picture. So the displacement there is the same all the way out, and along the border as smooth as the
-//! allowed stretch demands. The mesh changes over to it inside what both views see, before the border, where the composite shows the other view alone: its
-//! perspective changes there from the reference view's to the other one's, which nobody sees as a break.
+//! At the border of the reference view the mesh has the folds of the tissue that the border cuts. Where only the other
+//! view is visible, they are unknown, and any continuation stretches the image. So the displacement there is constant
+//! outwards, and along the border as smooth as the allowed stretch requires. The mesh changes to it inside the overlap,
+//! before the border, where the composite shows only the other view: its perspective changes there from the reference
+//! view's to the other one's, which is not visible as a break.
 
 use super::Lattice;
 use super::border::Border;
@@ -13,16 +14,16 @@ use crate::geometry::{Homography, Point};
 const SMOOTHNESS: [f64; 2] = [1e-3, 1e5];
 const SEARCH_STEPS: usize = 32;
 
-/// How the mesh is continued beyond a border.
+/// Parameters of the extrapolation beyond a border.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Continuation {
-    /// Width of the changeover before the border, px.
+    /// Width of the transition before the border, px.
     pub zone_px: f64,
     /// Largest relative change of a length beyond the border.
     pub max_stretch: f64,
 }
 
-/// Memory of a continuation.
+/// Reusable buffers of an extrapolation.
 #[derive(Clone, Debug, Default)]
 pub struct Relax {
     mean: Vec<Point>,
@@ -34,7 +35,8 @@ pub struct Relax {
 impl Relax {
     /// Continues positions of vertices in the other view, row after row of the lattice, beyond one border.
     ///
-    /// `plane`: from the other view to the reference plane, and back. Displacements are those on the reference plane, against it.
+    /// `plane`: from the other view to the reference plane, and back. Displacements are relative to the reference
+    /// plane.
     pub fn apply(
         &mut self,
         source: &mut [Point],
@@ -104,7 +106,8 @@ impl Relax {
         self.smooth.clone_from(&self.trial);
     }
 
-    /// Sets `trial` to the least squares of the distances from `mean` plus `smoothness` times the squares of first differences.
+    /// Sets `trial` to the least squares of the distances from `mean` plus `smoothness` times the squares of first
+    /// differences.
     fn fit(&mut self, smoothness: f64) {
         let count = self.mean.len();
         self.trial.clone_from(&self.mean);
@@ -130,8 +133,8 @@ impl Relax {
     }
 }
 
-/// Largest change of the length of a cell by displacements that are constant across the border, px. What moves across the border along it shears, and a
-/// shear stretches by its half.
+/// Largest change of the length of a cell by displacements that are constant across the border, px. Displacements along
+/// the border shear, and a shear stretches by half of it.
 fn stretch_px(shift: &[Point], axis: usize) -> f64 {
     let of = |a: &Point, b: &Point| 0.5 * (b[axis] - a[axis]).abs() + (b[1 - axis] - a[1 - axis]).abs();
     shift.windows(2).map(|pair| of(&pair[0], &pair[1])).fold(0.0, f64::max)

@@ -1,23 +1,25 @@
-//! Where an instrument's picture must not be bent: around it the mesh is the homography displaced by one vector.
+//! Keeps the image of an instrument straight: around it the mesh is the homography displaced by one vector.
 //!
-//! A homography keeps lines straight. The displacement is the mean of the mesh there, slow in time, and fades into the mesh beside the instrument.
+//! A homography keeps lines straight. The displacement is the mean of the mesh there, changes slowly, and fades into
+//! the mesh next to the instrument.
 
 use super::Lattice;
 use super::instruments::{Arrangement, Instruments, MAX_INSTRUMENTS};
 use super::kept::Kept;
 use crate::geometry::{Point, length};
 
-/// Cells from an instrument within which the mesh is rigid; all corners of a cell with an instrument in it lie within.
+/// Distance from an instrument within which the mesh is rigid, cells; includes all corners of a cell with an
+/// instrument.
 const FULL_CELLS: f64 = 1.5;
 /// Cells beyond those over which it fades.
 const FADE_CELLS: f64 = 5.0;
-/// Share of a weight that is left after a frame when the instrument has gone.
+/// Decay of a weight per frame after the instrument has gone.
 const LEFT: f32 = 0.9;
-/// Weights grow by at most this in a frame.
+/// Maximum increase of a weight per frame.
 const MAX_RISE: f32 = 0.2;
 /// Share of a new displacement that enters the running one per frame.
 const RATE: f64 = 0.1;
-/// Weights below are none.
+/// Weights below this count as 0.
 const MIN_WEIGHT: f32 = 0.01;
 
 /// Weights of the vertices of one view.
@@ -26,15 +28,15 @@ struct Weights {
     /// Distance to the nearest instrument, px, and its number.
     distance_px: Vec<f32>,
     nearest: Vec<u8>,
-    /// 1 where the mesh is rigid.
+    /// Weight; 1 where the mesh is rigid.
     weight: Vec<f32>,
 }
 
-/// Weights of the vertices, and what they are pulled to.
+/// Weights of the vertices, and their target displacements.
 #[derive(Clone, Debug, Default)]
 pub struct Rigid {
     lattice: Lattice,
-    /// For instruments that the reference view shows, and for those that the other view shows.
+    /// Weights for instruments shown by the reference view, and by the other view.
     weights: [Weights; 2],
     /// Displacement of the other view against the homography, px.
     shift: Vec<Point>,
@@ -47,8 +49,8 @@ impl Rigid {
         self.is_used = [false; 2];
     }
 
-    /// Brings the weights up to the instruments of a frame. `drawn`: where the mesh puts the vertices in the other view, `base`: where the homography
-    /// does. A `new` mesh takes the weights at once.
+    /// Updates the weights with the instruments of a frame. `drawn`: positions of the vertices in the other view by the
+    /// mesh, `base`: by the homography. A `new` mesh takes the weights immediately.
     pub fn update(
         &mut self,
         instruments: &mut Instruments,
@@ -108,7 +110,7 @@ impl Rigid {
         }
     }
 
-    /// Leaves the reference view where it is around the instruments that it shows.
+    /// Keeps the reference view unchanged around the instruments that it shows.
     pub fn keep_reference(&self, shown: &mut [Point], lattice: &Lattice) {
         if !self.is_used[0] || self.weights[0].weight.len() != shown.len() {
             return;
@@ -127,7 +129,7 @@ fn target(distance_px: f32, cell_px: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Lets the displacement of each instrument follow the mean of the mesh within `full_px` of it, of which the share `rate` enters.
+/// Moves the displacement of each instrument towards the mean of the mesh within `full_px` of it by the share `rate`.
 fn follow_shifts(
     instruments: &mut Instruments,
     weights: &Weights,
@@ -151,7 +153,7 @@ fn follow_shifts(
 }
 
 impl Weights {
-    /// Sets the distance of each vertex to the nearest instrument of a view. Whether there is one.
+    /// Sets the distance of each vertex to the nearest instrument of a view. Returns whether there is one.
     fn measure(&mut self, instruments: &Instruments, how: &Arrangement, lattice: &Lattice, view: Kept) -> bool {
         self.distance_px.clear();
         self.distance_px.resize(lattice.len(), f32::MAX);
@@ -193,7 +195,7 @@ impl Weights {
         is_any
     }
 
-    /// An instrument at a position. Whether that lies inside the mesh.
+    /// Marks an instrument at a position. Returns whether it is inside the mesh.
     fn mark(&mut self, lattice: &Lattice, at: Point, number: usize) -> bool {
         let Some(((column, row), _)) = lattice.cell_of(at) else { return false };
         for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
@@ -207,7 +209,7 @@ impl Weights {
         true
     }
 
-    /// Carries distances on from vertex to vertex, forth and back.
+    /// Propagates distances between vertices, forwards and backwards.
     fn spread(&mut self, lattice: &Lattice) {
         let (columns, rows) = (lattice.columns as isize, lattice.rows as isize);
         let side = lattice.cell_px as f32;

@@ -1,4 +1,4 @@
-//! Meshes of pictures that are larger than their disparity map: followed at the size of the map, and enlarged.
+//! Meshes of images that are larger than their disparity map: computed at the size of the map, and enlarged.
 
 use super::super::coarse::{map_factor, shrunk};
 use super::super::rectified_view::RectifiedView;
@@ -7,17 +7,17 @@ use crate::geometry::{Homography, Point};
 use crate::shrink::{enlarged_px, shrunk_px};
 use crate::{Parallel, View};
 
-/// The meshes between large pictures, of those that are followed.
+/// Meshes between large images, made from those of the follower.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scaled {
-    /// By how much the last map was smaller than the pictures; 0 before the first.
+    /// By how much the last map was smaller than the images; 0 before the first.
     factor: usize,
     /// Enlarged, unless the factor is 1: the mesh, and that of the reference view.
     meshes: [Mesh; 2],
 }
 
 impl Scaled {
-    /// By how much the map is smaller than the pictures.
+    /// By how much the map is smaller than the images.
     pub fn factor(&self) -> usize {
         self.factor.max(1)
     }
@@ -34,8 +34,8 @@ impl MeshFollower {
         self.published(0)
     }
 
-    /// The mesh that draws the reference view so that it fits the other one also where that leaves the reference view's plane; `None` where the
-    /// reference view stays as it is.
+    /// The mesh that warps the reference view to match the other one where that leaves the reference view's plane;
+    /// `None` if the reference view is unchanged.
     pub fn reference_mesh(&self) -> Option<&Mesh> {
         self.published(1)
     }
@@ -45,10 +45,11 @@ impl MeshFollower {
         mesh.given()
     }
 
-    /// Brings the mesh up to a frame with a good homography; without one the mesh of the last frame stands.
+    /// Updates the mesh with a frame that has a good homography; without one the last mesh is kept.
     ///
-    /// `disparity`: px of the left rectified view, NaN where unmatched. It has the size of the pictures, or is smaller by a whole factor, see
-    /// [`map_factor`]. The mesh maps the left picture to the right one, and its doubt counts pixels of the map.
+    /// `disparity`: px of the left rectified view, NaN where unmatched. It has the size of the images, or is smaller
+    /// by a whole factor, see [`map_factor`]. The mesh maps the left image to the right one, and its doubt is in
+    /// pixels of the map.
     pub fn update(
         &mut self,
         disparity: View<'_, f32>,
@@ -78,7 +79,8 @@ impl MeshFollower {
 }
 
 impl Mesh {
-    /// Becomes the mesh between pictures that are larger than those of `small` by a factor. The doubt stays in pixels of the small ones.
+    /// Becomes the mesh between images that are larger than those of `small` by a factor. The doubt stays in pixels of
+    /// the small ones.
     fn enlarge(&mut self, small: &Self, factor: usize) {
         let Lattice { cell_px, first, columns, rows } = small.lattice;
         self.lattice = Lattice { cell_px: cell_px * factor, first, columns, rows };

@@ -1,4 +1,4 @@
-//! Tests of meshes on disparities and pictures whose truth is known.
+//! Tests of meshes on disparities and images with ground truth.
 
 use super::super::placement::Placement;
 use super::super::warp::{Block, GROUP};

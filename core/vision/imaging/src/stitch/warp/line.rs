@@ -5,7 +5,7 @@ use super::{BLOCK, Block, GROUP, Source, put, weights};
 #[cfg(target_arch = "x86_64")]
 use super::store;
 
-/// Vertices of a mesh that are held along a row of output pixels.
+/// Maximum number of mesh vertices along a row of output pixels.
 pub const NODES: usize = 8;
 
 /// A row of output pixels across a mesh: between neighbouring vertices positions in the view change evenly.
@@ -15,7 +15,7 @@ pub struct Line {
     pub nodes: [[f32; NODES]; 2],
     /// The last cell between two vertices, at most `NODES - 2`.
     pub last: usize,
-    /// Where output pixel 0 of the block lies, in cells from the first vertex.
+    /// Position of output pixel 0 of the block, in cells from the first vertex.
     pub start: f32,
     /// Cells per output pixel.
     pub step: f32,
@@ -31,7 +31,7 @@ impl Line {
         self.nodes.map(|nodes| nodes[cell] + (nodes[cell + 1] - nodes[cell]) * t)
     }
 
-    /// The output pixel from which on `cell` is behind, from `first` to `end`.
+    /// The output pixel at which `cell` ends, from `first` to `end`.
     #[inline(always)]
     fn end_of_cell(&self, cell: usize, per_cell: f32, (first, end): (usize, usize)) -> usize {
         if cell == self.last {
@@ -42,7 +42,7 @@ impl Line {
         (to.max(0.0) as usize + 1).clamp(first, end)
     }
 
-    /// Output pixels `first .. end`, all in `cell`; `None` where some lie outside the view.
+    /// Output pixels `first .. end`, all in `cell`; `None` if some are outside the view.
     #[inline(always)]
     fn run(&self, cell: usize, (first, end): (usize, usize), source: &Source) -> Option<Run> {
         let t = self.start + self.step * first as f32 - cell as f32;
@@ -75,14 +75,14 @@ const RUN_HALF: i32 = 512;
 struct Run {
     /// Column and row of the first position, rounded by [`RUN_HALF`], in 1/65536 px.
     at: [i32; 2],
-    /// From one to the next.
+    /// Step from one position to the next.
     step: [i32; 2],
     /// Bytes from one row of the view to the next.
     stride: i32,
 }
 
 impl Run {
-    /// Notes the positions of output pixels `first .. end`.
+    /// Records the positions of output pixels `first .. end`.
     fn put(&self, (first, end): (usize, usize), block: &mut Block) {
         let [mut u, mut v] = self.at;
         for i in first..end {
@@ -92,7 +92,7 @@ impl Run {
         }
     }
 
-    /// Notes the positions of output pixels `first .. end`, at most [`BLOCK`].
+    /// Records the positions of output pixels `first .. end`, at most [`BLOCK`].
     #[inline]
     fn note(&self, (first, end): (usize, usize), block: &mut Block, avx2: bool) {
         #[cfg(target_arch = "x86_64")]
@@ -106,7 +106,7 @@ impl Run {
         self.put((first, end), block);
     }
 
-    /// As [`Run::put`]; up to seven pixels from `end` on get values without meaning.
+    /// As [`Run::put`]; up to seven pixels from `end` on get undefined values.
     ///
     /// # Safety
     /// The processor has AVX2, and `end` is at most [`BLOCK`].
@@ -139,7 +139,8 @@ impl Run {
     }
 }
 
-/// Notes where output pixels `first .. end` read their source, clamped to the view; whole groups of [`GROUP`] inside the block.
+/// Records the source positions of output pixels `first .. end`, clamped to the view; whole groups of [`GROUP`] inside
+/// the block.
 pub fn locate_line(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block, avx2: bool) {
     assert!(
         line.last + 2 <= NODES && end <= BLOCK && (end - first).is_multiple_of(GROUP),
@@ -165,7 +166,7 @@ pub fn locate_line(line: &Line, (first, end): (usize, usize), source: &Source, b
     }
 }
 
-/// Notes where output pixels `first .. end` read their source, wherever that is; `end` is at most [`BLOCK`].
+/// Records the source positions of output pixels `first .. end`, unclamped; `end` is at most [`BLOCK`].
 #[inline]
 fn locate_any(line: &Line, (first, end): (usize, usize), source: &Source, block: &mut Block, avx2: bool) {
     #[cfg(target_arch = "x86_64")]
@@ -181,7 +182,7 @@ fn locate_any(line: &Line, (first, end): (usize, usize), source: &Source, block:
     }
 }
 
-/// Up to seven pixels from `end` on get values without meaning.
+/// Up to seven pixels from `end` on get undefined values.
 ///
 /// # Safety
 /// The processor has AVX2, and `end` is at most [`BLOCK`].

@@ -1,4 +1,4 @@
-//! What a follower measures: where nothing is seen, how the views move, how far the mesh is from what is observed.
+//! Measurements of a follower: unobserved regions, motion of the views, distance of the mesh from the observations.
 
 use super::super::instruments::nearer_px;
 use super::super::observe::Observations;
@@ -8,11 +8,11 @@ use crate::geometry::{Point, length, median};
 
 /// Cells of observations per block, each way, in which motion is separated from noise.
 const BLOCK_CELLS: usize = 4;
-/// Observations of a block that tells of motion.
+/// Minimum number of observations of a block for motion.
 const MIN_BLOCK: f64 = 4.0;
 
 impl MeshFollower {
-    /// See [`MeshReport::blind`].
+    /// Computes [`MeshReport::blind`].
     pub(super) fn blind(&mut self, overlap: Rect) -> f64 {
         let Observations { cell_px, columns, rows, .. } = self.observations;
         let by_rows = self.params.along[0] != 0.0;
@@ -29,8 +29,9 @@ impl MeshFollower {
         1.0 - seen as f64 / shared.len().max(1) as f64
     }
 
-    /// Motion of the observations against the mesh of the frame before: the median over blocks of observations of their mean distance from it, px, and
-    /// the displacement that most of them share. Noise of matching averages out in a block, motion does not.
+    /// Motion of the observations against the mesh of the frame before: the median over blocks of observations of their
+    /// mean distance from it, px, and their common displacement. Noise of matching averages out in a block, motion does
+    /// not.
     pub(super) fn motion(&mut self) -> (f64, Point) {
         let columns = self.observations.columns.div_ceil(BLOCK_CELLS);
         let rows = self.observations.rows.div_ceil(BLOCK_CELLS);
@@ -55,7 +56,7 @@ impl MeshFollower {
         (of_full(length), [of_full(|[x, _]| x), of_full(|[_, y]| y)])
     }
 
-    /// Notes where the mesh and the observations differ. Returns the median distance, px.
+    /// Marks where the mesh and the observations differ. Returns the median distance, px.
     pub(super) fn judge(&mut self) -> f64 {
         let Observations { cell_px, columns, rows, .. } = self.observations;
         let doubt = &mut self.mesh.doubt;

@@ -1,4 +1,4 @@
-//! Instruments in front of the tissue: which view shows each, and where the mesh must not bend it.
+//! Instruments in front of the tissue: the view that shows each, and where the mesh must be rigid.
 
 use super::super::fitted::Fitted;
 use super::super::instruments::{Arrangement, nearer_px};
@@ -6,7 +6,7 @@ use super::MeshFollower;
 use crate::Rect;
 use crate::geometry::Homography;
 
-/// Parallax that observations which the mesh does not follow may have where they show an instrument, px of a view of 640 columns.
+/// Maximum parallax of unfollowed observations that show an instrument, px of a view of 640 columns.
 const LOOSE_PX: f64 = 8.0;
 const MAX_NEARER_PX: f64 = 240.0;
 
@@ -39,7 +39,7 @@ impl MeshFollower {
         self.rigid.update(&mut self.instruments, &how, &self.lattice, [&self.drawn, &self.base], is_new);
     }
 
-    /// Makes the mesh rigid at instruments, and sets what is shown of the reference view.
+    /// Makes the mesh rigid at instruments, and sets the shown positions of the reference view.
     pub(super) fn show(&mut self, left_from_right: &Homography) {
         self.rigid.straighten(&mut self.drawn, &self.base);
         if !self.params.moves_reference {
