@@ -3,8 +3,8 @@
 use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, CameraModel, FilterInput, Rectification,
-    RectifyParams, RemapTable, ReprojectInput, ReprojectParams, SemiGlobalMatcher, SemiGlobalParams, StereoCameras,
-    WlsFilter, WlsParams, reproject,
+    RectifyParams, RemapTable, ReprojectInput, ReprojectParams, SemiGlobalMatcher, SemiGlobalParams, SmallHoles,
+    StereoCameras, WlsFilter, WlsParams, reproject,
 };
 use panoscope_imaging::{Parallel, Rect, View, ViewMut};
 use std::time::Instant;
@@ -111,6 +111,13 @@ fn all(pool: &dyn Parallel) {
         let _ = solver.compute(input, pool, out(solved), None);
     });
     println!("  chain (sum of the last three)    min {total:7.3} ms   {} vertices", solver.vertices());
+    // What the match alone leaves open has the most holes.
+    let (focal_px, baseline_mm) = (750.0, 15.0);
+    depth_map.iter_mut().zip(&*raw).for_each(|(depth, disparity)| *depth = focal_px * baseline_mm / disparity);
+    let mut holes = SmallHoles::default();
+    let mut count = 0;
+    time("small holes of a surface", || count = holes.find(map_view(depth_map), focal_px, baseline_mm, 0.0015).len());
+    println!("  filled points                    {count}");
 }
 
 fn main() {
