@@ -17,13 +17,16 @@ pub fn check(path: &Path, text: &GraphText, ready: &Ready) -> Diagnostics {
         let params = node.node_type(&ready.catalog).params.iter().zip(&node.params);
         let mut models = params.filter(|(param, value)| is_model(&param.name, value));
         let Some((param, _)) = models.next() else { continue };
-        let (severity, code, reason) = match try_node(&ready.graph, index, &ready.catalog, &ready.loader, folder) {
+        let refused = match try_node(&ready.graph, index, &ready.catalog, &ready.loader, folder) {
             Ok(()) => continue,
-            // The graph may be right where the library is.
-            Err(reason) if reason.starts_with(NO_RUNTIME) => (Severity::Warning, "model-unchecked", reason),
-            Err(reason) => (Severity::Error, "model-refused", reason),
+            Err(refused) => refused.to_string(),
         };
-        let message = format!("`{}` of `{}` ({}) cannot be used: {reason}", param.name, node.id, node.type_name);
+        // The graph may be right where the library is.
+        let (severity, code) = match refused.starts_with(NO_RUNTIME) {
+            true => (Severity::Warning, "model-unchecked"),
+            false => (Severity::Error, "model-refused"),
+        };
+        let message = format!("`{}` of `{}` ({}) cannot be used: {refused}", param.name, node.id, node.type_name);
         let help = if severity == Severity::Error {
             "name a model that this node reads; see `panoscope describe`"
         } else {

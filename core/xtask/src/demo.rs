@@ -82,8 +82,23 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     ensure!(!fresh_files(&report, start).is_empty(), "the run wrote no report to {}", report.display());
     let summary = Summary::from_json(&fs::read_to_string(&report)?)?;
     print!("\n{}", summary.text);
+    let absent = print_outputs(&outputs, start);
+    println!("{:10} {}", "report", display(&report));
+    ensure!(absent.is_empty(), "{}", absent.join("; "));
+    ensure!(summary.frames > 0, "no frame came through");
+    ensure!(summary.faults == 0, "{} faults of nodes, see above", summary.faults);
+    if has_screen {
+        println!("\nThe editor opens with the running graph; close its window to end the demo.");
+        build_windows(workspace, Profile::Dev)?;
+        process::run(built.panoscope().arg("edit").arg(&graph))?;
+    }
+    Ok(())
+}
+
+/// Prints the files of each output that were written since `start`; returns the missing and empty ones.
+fn print_outputs(outputs: &[Output], start: SystemTime) -> Vec<String> {
     let mut absent = Vec::new();
-    for output in &outputs {
+    for output in outputs {
         let files = fresh_files(&output.path, start);
         match files.as_slice() {
             [] => absent.push(format!("`{}` wrote nothing to {}", output.node, display(&output.path))),
@@ -98,16 +113,7 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
             files.iter().filter(|file| file.bytes == 0).map(|file| format!("{} is empty", display(&file.path))),
         );
     }
-    println!("{:10} {}", "report", display(&report));
-    ensure!(absent.is_empty(), "{}", absent.join("; "));
-    ensure!(summary.frames > 0, "no frame came through");
-    ensure!(summary.faults == 0, "{} faults of nodes, see above", summary.faults);
-    if has_screen {
-        println!("\nThe editor opens with the running graph; close its window to end the demo.");
-        build_windows(workspace, Profile::Dev)?;
-        process::run(built.panoscope().arg("edit").arg(&graph))?;
-    }
-    Ok(())
+    absent
 }
 
 /// Parts of a build that a graph and its parts need, and whether they find instruments by a network. Parts are relative

@@ -143,14 +143,34 @@ pub enum RunEnd {
 /// A checked graph, with its sealed files if it runs under its lock.
 type Opened = (Ready, Option<Arc<Seal>>);
 
+/// A graph that does not run as requested.
+#[derive(Debug, thiserror::Error)]
+enum OpenError {
+    /// Its mistakes, rendered for the terminal.
+    #[error("{rendered}")]
+    Graph { rendered: String },
+    #[error(
+        "error: --isolate-plugins cannot be used with --watch or --lock: a changed file may name other plugins, and a lock names its own"
+    )]
+    Isolated,
+    #[error("error: {0}")]
+    Lock(#[from] LockError),
+    #[error(
+        "error: --set {setting}: the graph runs under its lock, and its [preset] does not offer that value\n  help: leave --lock out, or \
+         change the graph and lock it again with `panoscope lock`"
+    )]
+    NotOffered { setting: String },
+    #[error("error: {0}\n  help: restore the files, or lock the graph again with `panoscope lock`")]
+    Verify(VerifyError),
+}
+
 /// Reads and checks the graph, under its lock if requested.
-fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, String>> {
+fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, OpenError>> {
     if arguments.isolated.is_on() && (arguments.watch || arguments.lock) {
-        let why = "a changed file may name other plugins, and a lock names its own";
-        return Ok(Err(format!("error: --isolate-plugins cannot be used with --watch or --lock: {why}")));
+        return Ok(Err(OpenError::Isolated));
     }
     let path = &arguments.graph;
-    let rendered = |diagnostics: Diagnostics| diagnostics.render(stderr_color());
+    let rendered = |found: Diagnostics| OpenError::Graph { rendered: found.render(stderr_color()) };
     if !arguments.lock {
         let ready = GraphText::load_with(path, given).and_then(|text| {
             let loader = arguments.isolated.loader(&text.plugin_paths());
@@ -167,22 +187,17 @@ fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, St
     let trust = arguments.keys.trusted()?;
     let lock = match lock.and_then(|lock| lock.check_signature(path, &trust).map(|_| lock)) {
         Ok(lock) => lock,
-        Err(error) => return Ok(Err(format!("error: {error}"))),
+        Err(error) => return Ok(Err(error.into())),
     };
     Ok(match verify::open(&text, &lock, &ALWAYS_LOCKED) {
         Ok(verify::Verified { graph, catalog, loader, warnings, seal }) => {
             match text.settings().iter().find(|setting| !is_offered(&graph, &catalog, setting)) {
-                Some(setting) => Err(format!(
-                    "error: --set {setting}: the graph runs under its lock, and its [preset] does not offer that value\n  help: leave --lock \
-                     out, or change the graph and lock it again with `panoscope lock`"
-                )),
+                Some(setting) => Err(OpenError::NotOffered { setting: setting.clone() }),
                 None => Ok((Ready { text, graph, catalog, loader, warnings }, Some(seal))),
             }
         }
         Err(VerifyError::Check(diagnostics)) => Err(rendered(diagnostics)),
-        Err(error) => {
-            Err(format!("error: {error}\n  help: restore the files, or lock the graph again with `panoscope lock`"))
-        }
+        Err(error) => Err(OpenError::Verify(error)),
     })
 }
 
@@ -229,8 +244,8 @@ pub fn run_with(
     let given = arguments.given.options(&arguments.set);
     let (mut ready, seal) = match open(arguments, &given)? {
         Ok(opened) => opened,
-        Err(message) => {
-            log!("{}", message.trim_end());
+        Err(error) => {
+            log!("{}", error.to_string().trim_end());
             return Ok(RunEnd::Not(End::Wrong));
         }
     };

@@ -157,6 +157,47 @@ fn points(costs: &[Cost], of: fn(&Cost) -> f64) -> Vec<(f64, f64)> {
     costs.iter().map(|c| (c.at, of(c))).collect()
 }
 
+/// Charts of the curves; `by_nodes` are ns per tick, `simulated` images per second by cores.
+fn charts(
+    name: &str,
+    size: (u32, u32),
+    by_width: &[Cost],
+    by_cameras: &[Cost],
+    by_nodes: &[(f64, f64)],
+    by_threads: &[Cost],
+    simulated: Vec<(f64, f64)>,
+) -> [Chart; 4] {
+    [
+        chart(
+            &format!("{name}: width"),
+            "width, px",
+            "ms of CPU per picture",
+            vec![line("CPU", 0, points(by_width, |c| c.cpu_ms))],
+        ),
+        chart(
+            "Panoramas: cameras",
+            "cameras",
+            "pictures a second of each",
+            vec![line(&format!("{}x{}", size.0, size.1), 1, points(by_cameras, |c| c.fps))],
+        ),
+        chart(
+            "Engine: nodes",
+            "nodes in a chain",
+            "us per tick",
+            vec![line("tick", 2, by_nodes.iter().map(|(n, ns)| (*n, ns / 1e3)).collect())],
+        ),
+        chart(
+            &format!("{name}: cores"),
+            "cores",
+            "pictures a second",
+            vec![
+                line(&format!("measured, {} cores", cores_here()), 0, points(by_threads, |c| c.fps)),
+                line("simulated", 1, simulated),
+            ],
+        ),
+    ]
+}
+
 /// Measures the curves, shows them, and draws them if `plot` names a file.
 pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let quick = options.quick;
@@ -216,35 +257,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
         simulated.iter().for_each(|(cores, fps)| figure(format!("simulated_fps/{cores}_cores"), *fps, "1/s", &input));
     }
     if let Some(file) = &options.plot {
-        let charts = [
-            chart(
-                &format!("{name}: width"),
-                "width, px",
-                "ms of CPU per picture",
-                vec![line("CPU", 0, points(&by_width, |c| c.cpu_ms))],
-            ),
-            chart(
-                "Panoramas: cameras",
-                "cameras",
-                "pictures a second of each",
-                vec![line(&format!("{}x{}", size.0, size.1), 1, points(&by_cameras, |c| c.fps))],
-            ),
-            chart(
-                "Engine: nodes",
-                "nodes in a chain",
-                "us per tick",
-                vec![line("tick", 2, by_nodes.iter().map(|(n, ns)| (*n, ns / 1e3)).collect())],
-            ),
-            chart(
-                &format!("{name}: cores"),
-                "cores",
-                "pictures a second",
-                vec![
-                    line(&format!("measured, {} cores", cores_here()), 0, points(&by_threads, |c| c.fps)),
-                    line("simulated", 1, simulated),
-                ],
-            ),
-        ];
+        let charts = charts(&name, size, &by_width, &by_cameras, &by_nodes, &by_threads, simulated);
         plot::save(file, &charts)?;
     }
     Ok(figures)

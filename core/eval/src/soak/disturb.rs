@@ -7,8 +7,24 @@ use panoscope_base::random::{SplitMix64, unit};
 use panoscope_engine::{Engine, SetError};
 use panoscope_graph::{Catalog, Graph, Node, Param, ParamKind, ParamValue};
 use panoscope_host::loader::Live;
+use panoscope_host::loader::live::LiveError;
 
 use crate::system;
+
+/// A live edit that the engine refused; the old graph runs on unchanged.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
+pub enum EditRefused {
+    /// A parameter keeps its value.
+    #[error("{param} = {value}: {cause}")]
+    Param { param: String, value: f64, cause: SetError },
+    /// A sink stays.
+    #[error("without `{sink}`: {cause}")]
+    Sink { sink: String, cause: LiveError },
+    /// The original text was not applied again.
+    #[error("{0}")]
+    Text(LiveError),
+}
 
 /// Intervals of the disturbances; `None`: never.
 #[derive(Clone, Copy, Debug, Default)]
@@ -75,8 +91,8 @@ impl Disturber {
         self.done
     }
 
-    /// Makes the disturbances that are due. An error is the reason for a refused edit.
-    pub fn disturb<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Option<String> {
+    /// Makes the disturbances that are due. Returns the refusal of an edit.
+    pub fn disturb<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Option<EditRefused> {
         let seconds = self.began.elapsed().as_secs_f64();
         let is_due =
             |every: Option<f64>, so_far: u64| every.is_some_and(|every| seconds >= every * (so_far + 1) as f64);
@@ -90,7 +106,7 @@ impl Disturber {
         let made = match self.edits % 4 {
             0 => self.move_param(live.engine()),
             2 => self.remove_sink(live),
-            _ => live.apply_text(&self.text).map(|_| true).map_err(|error| error.to_string()),
+            _ => live.apply_text(&self.text).map(|_| true).map_err(EditRefused::Text),
         };
         self.edits += 1;
         match made {
@@ -106,7 +122,7 @@ impl Disturber {
     }
 
     /// Changes a parameter by up to a tenth of its range. Returns whether there was one.
-    fn move_param(&mut self, engine: &Engine) -> Result<bool, String> {
+    fn move_param(&mut self, engine: &Engine) -> Result<bool, EditRefused> {
         let Some(Slider { node, param, index, min, max }) = self.sliders.get(self.random.below(self.sliders.len()))
         else {
             return Ok(false);
@@ -117,18 +133,18 @@ impl Disturber {
         };
         let share = 2.0 * unit(self.random.bits()) - 1.0;
         let moved = (value + 0.1 * share * (max - min)).clamp(*min, *max);
-        let refusal = |error: SetError| format!("{node}.{param} = {moved}: {error}");
+        let refusal = |cause| EditRefused::Param { param: format!("{node}.{param}"), value: moved, cause };
         engine.set_param(node, param, ParamValue::Float(moved)).map_err(refusal)?;
         Ok(true)
     }
 
     /// Removes a sink while another remains. Returns whether there was one.
-    fn remove_sink<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Result<bool, String> {
+    fn remove_sink<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Result<bool, EditRefused> {
         if self.sinks.len() < 2 {
             return Ok(false);
         }
         let sink = &self.sinks[self.random.below(self.sinks.len())];
-        live.remove_node(sink).map_err(|error| format!("without `{sink}`: {error}"))?;
+        live.remove_node(sink).map_err(|cause| EditRefused::Sink { sink: sink.clone(), cause })?;
         Ok(true)
     }
 }

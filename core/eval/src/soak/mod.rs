@@ -9,7 +9,7 @@ use panoscope_engine::Engine;
 use panoscope_engine::memory::memory;
 
 use crate::system;
-pub use disturb::{Disturbances, Disturber, Done};
+pub use disturb::{Disturbances, Disturber, Done, EditRefused};
 
 /// State of the process at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

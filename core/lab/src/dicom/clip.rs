@@ -43,7 +43,7 @@ impl Clips {
         self.count += 1;
         let mp4 = self.folder.join(format!("{}.mp4", self.count));
         let graph = self.folder.join(format!("{}.toml", self.count));
-        let text = graph_text(clip, &mp4).map_err(wrong)?;
+        let text = graph_text(clip, &mp4).map_err(|error| wrong(error.to_string()))?;
         fs::write(&graph, text).map_err(|cause| DicomError::Write { file: graph.clone(), cause })?;
         let program = beside::file(beside::PROGRAM).map_err(|error| wrong(error.to_string()))?;
         let mut run = Command::new(program);
@@ -66,12 +66,21 @@ impl Drop for Clips {
     }
 }
 
+/// A path that a graph cannot name.
+#[derive(Debug, thiserror::Error)]
+enum PathError {
+    #[error("{0}")]
+    Absolute(#[from] std::io::Error),
+    #[error("{} is not UTF-8", .path.display())]
+    NotUtf8 { path: PathBuf },
+}
+
 /// A graph that converts a clip. Damaged frames are skipped, as by players.
-fn graph_text(clip: &Path, mp4: &Path) -> Result<String, String> {
+fn graph_text(clip: &Path, mp4: &Path) -> Result<String, PathError> {
     let absolute = |path: &Path| {
-        let path = std::path::absolute(path).map_err(|error| error.to_string())?;
-        let text = path.to_str().ok_or_else(|| format!("{} is not UTF-8", path.display()))?;
-        Ok::<_, String>(toml::Value::from(text).to_string())
+        let path = std::path::absolute(path)?;
+        let text = path.to_str().ok_or_else(|| PathError::NotUtf8 { path: path.clone() })?;
+        Ok::<_, PathError>(toml::Value::from(text).to_string())
     };
     let (clip, mp4) = (absolute(clip)?, absolute(mp4)?);
     Ok(format!(

@@ -80,25 +80,34 @@ pub struct QueryArguments {
     station: String,
 }
 
+/// A malformed option of a query.
+#[derive(Debug, thiserror::Error)]
+enum QueryError {
+    #[error("--date `{days}`: write today, all, YYYYMMDD or YYYYMMDD-YYYYMMDD")]
+    Date { days: String },
+    #[error("{option} `{text}`: use at most 16 ASCII letters, digits and punctuation marks")]
+    Code { option: &'static str, text: String },
+}
+
 impl QueryArguments {
     /// The query.
-    fn query(&self) -> Result<Query, String> {
+    fn query(&self) -> Result<Query, QueryError> {
         let date = match self.date.as_str() {
             "today" => panoscope_dicom::today(),
             "all" => String::new(),
             days => {
                 let is_day = |day: &str| day.len() == 8 && day.bytes().all(|b| b.is_ascii_digit());
                 if !days.split('-').all(is_day) || days.split('-').count() > 2 {
-                    return Err(format!("--date `{days}`: write today, all, YYYYMMDD or YYYYMMDD-YYYYMMDD"));
+                    return Err(QueryError::Date { days: days.to_owned() });
                 }
                 days.to_owned()
             }
         };
         let is_code =
             |text: &str| text.len() <= 16 && text.chars().all(|c| c.is_ascii_graphic() && !"\\*?".contains(c));
-        for (name, text) in [("--modality", &self.modality), ("--station", &self.station)] {
+        for (option, text) in [("--modality", &self.modality), ("--station", &self.station)] {
             if !is_code(text) {
-                return Err(format!("{name} `{text}`: use at most 16 ASCII letters, digits and punctuation marks"));
+                return Err(QueryError::Code { option, text: text.clone() });
             }
         }
         Ok(Query { modality: self.modality.clone(), date, station: self.station.clone() })
@@ -184,7 +193,7 @@ pub fn run(command: &Dicom) -> Result<End> {
                 out!("{}", pick::table(&entries));
                 Ok(End::Done)
             }
-            Err(problem) => wrong(&problem),
+            Err(problem) => wrong(&problem.to_string()),
         },
         Dicom::Wrap(arguments) => wrap(arguments),
         Dicom::Send(arguments) => send(arguments),
@@ -215,7 +224,7 @@ fn wrap(arguments: &Wrap) -> Result<End> {
         (None, Some(address)) => {
             let query = match arguments.query.query() {
                 Ok(query) => query,
-                Err(problem) => return wrong(&problem),
+                Err(problem) => return wrong(&problem.to_string()),
             };
             let entries = entries(&arguments.titles.peer(address), &query)?;
             match &arguments.entry {

@@ -212,7 +212,7 @@ impl GraphFile {
         let get = || {
             let ready = self.ready(&[], false)?;
             let resolved = self.text.resolve_param(param);
-            value_of(&ready.graph, &ready.catalog, &resolved).map_err(Problem::Use)
+            value_of(&ready.graph, &ready.catalog, &resolved).map_err(|error| Problem::Use(error.to_string()))
         };
         py.detach(get).map_err(|problem| problem.raise(py))
     }

@@ -201,7 +201,7 @@ impl Running {
         let graph = live.engine().graph();
         // As the graph was checked: plugins that are loaded already are not loaded again.
         let catalog = live.loader().catalog_of_graph(&graph);
-        value_of(&graph, &catalog, &parts.resolve_param(param)).map_err(Problem::Edit)
+        value_of(&graph, &catalog, &parts.resolve_param(param)).map_err(|error| Problem::Edit(error.to_string()))
     }
 
     fn set_value(&self, param: &str, json: &str) -> Result<String, Problem> {

@@ -230,14 +230,19 @@ impl Judge<'_> {
         }
         let input =
             format!("{}, {} frames", model.file_name().unwrap_or_default().to_string_lossy(), j.truth.pictures.len());
+        self.add_figures(j, &input, error(None));
+    }
+
+    /// Adds the figures of a model; `calibration_error` is that of all classes.
+    fn add_figures(&mut self, j: &JudgeInputs, input: &str, calibration_error: f64) {
         let mut figure = |name: String, value: f64| {
             if !value.is_nan() {
-                self.figures.push(Figure::new(&name, value, "1", &input));
+                self.figures.push(Figure::new(&name, value, "1", input));
             }
         };
         let case = &j.case;
         if j.node == Node::Yolo {
-            // The one figure that has a name of its own.
+            // The only figure with a separate name.
             let name = if case == "left_out" { "map50_left_out".to_owned() } else { format!("map50/{case}") };
             if let Some(bounds) = &j.bounds {
                 figure(format!("{name}_low"), bounds.mean[0]);
@@ -246,7 +251,7 @@ impl Judge<'_> {
             figure(name, j.boxes.ap_at(0));
             figure(format!("map50_voc/{case}"), j.boxes.voc());
             figure(format!("map/{case}"), j.boxes.ap());
-            figure(format!("calibration_error/{case}"), error(None));
+            figure(format!("calibration_error/{case}"), calibration_error);
             for (name, c) in j.truth.classes.iter().zip(&j.boxes.classes) {
                 figure(format!("ap50/{case}/{name}"), c.ap[0]);
             }

@@ -85,8 +85,23 @@ impl Source {
     }
 }
 
+/// A chunk that cannot be unpacked.
+#[derive(Debug, thiserror::Error)]
+enum ChunkError {
+    #[error("the header of a chunk does not match it")]
+    Header,
+    #[error("a chunk of {size} bytes is longer than {MAX_RECORD_BYTES}")]
+    TooLong { size: u64 },
+    #[error("compression `{name}` of chunks is not supported")]
+    Compression { name: String },
+    #[error("a chunk cannot be decompressed: {0}")]
+    Decompression(#[from] io::Error),
+    #[error("the CRC of a chunk is wrong")]
+    Checksum,
+}
+
 /// Unpacks the body of a chunk; of a truncated one, the part that can be unpacked.
-fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
+fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, ChunkError> {
     let mut fields = Fields(body);
     // Times of the first and the last message, size, checksum, name of the compression, size of what is packed.
     let head = (|| {
@@ -95,10 +110,10 @@ fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
         Some((size, crc, fields.bytes(name_len)?, fields.u64()?))
     })();
     let Some((size, crc, name, packed_len)) = head else {
-        return if is_cut { Ok(Vec::new()) } else { Err("the header of a chunk does not match it".to_owned()) };
+        return if is_cut { Ok(Vec::new()) } else { Err(ChunkError::Header) };
     };
     if size > MAX_RECORD_BYTES {
-        return Err(format!("a chunk of {size} bytes is longer than {MAX_RECORD_BYTES}"));
+        return Err(ChunkError::TooLong { size });
     }
     let packed = &fields.0[..usize::try_from(packed_len).unwrap_or(usize::MAX).min(fields.0.len())];
     let mut bytes = Vec::new();
@@ -108,13 +123,13 @@ fn unpack(body: &[u8], is_cut: bool) -> Result<Vec<u8>, String> {
         b"lz4" => lz4::Decoder::new(packed).and_then(|from| from.take(size).read_to_end(&mut bytes)),
         other => {
             let name = String::from_utf8_lossy(other).chars().take(20).collect::<String>();
-            return Err(format!("compression `{name}` of chunks is not supported"));
+            return Err(ChunkError::Compression { name });
         }
     };
     if !is_cut {
-        unpacked.map_err(|error| format!("a chunk cannot be decompressed: {error}"))?;
+        unpacked?;
         if bytes.len() as u64 != size || crc != 0 && crc32fast::hash(&bytes) != crc {
-            return Err("the CRC of a chunk is wrong".to_owned());
+            return Err(ChunkError::Checksum);
         }
     }
     Ok(bytes)
@@ -257,7 +272,7 @@ impl BagReader {
         self.input = Some((file, input));
         match part.form {
             Form::Records => Ok(body),
-            form => unpack(&body, form == Form::CutChunk).map_err(|words| source.damaged(words)),
+            form => unpack(&body, form == Form::CutChunk).map_err(|error| source.damaged(error.to_string())),
         }
     }
 

@@ -16,6 +16,20 @@ pub use crate::loader::foreign_models::is_model;
 use crate::loader::foreign_models::limits;
 use crate::loader::search::Loader;
 
+/// A node that did not open on trial.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialError {
+    /// The node refused to open, or its process ended.
+    #[error("{reason}")]
+    Refused {
+        /// The node's message, or the end of its process.
+        reason: String,
+    },
+    /// The trial could not run.
+    #[error("{0}")]
+    Start(#[from] StartError),
+}
+
 /// Plugins whose nodes open without a trial, because they are part of one.
 struct OnTrial<'a>(&'a Loader);
 
@@ -36,14 +50,14 @@ impl Plugins for OnTrial<'_> {
 /// Opens one node of a checked graph in a separate process and closes it there. `graph_dir` is the folder of the graph.
 ///
 /// # Errors
-/// The node's message, or how its process ended.
+/// See [`TrialError`].
 pub fn try_node(
     graph: &Graph,
     node: usize,
     catalog: &Catalog,
     loader: &Loader,
     graph_dir: &Path,
-) -> Result<(), String> {
+) -> Result<(), TrialError> {
     let mut alone = graph.nodes[node].clone();
     let models = alone.node_type(catalog).params.iter().zip(&alone.params);
     let models: Vec<PathBuf> = models
@@ -68,7 +82,7 @@ pub fn try_node(
     };
     match Engine::start(graph, catalog, &OnTrial(loader), options) {
         Ok(_) => Ok(()),
-        Err(StartError::Open { reason, .. }) => Err(reason),
-        Err(other) => Err(other.to_string()),
+        Err(StartError::Open { reason, .. }) => Err(TrialError::Refused { reason }),
+        Err(other) => Err(other.into()),
     }
 }
