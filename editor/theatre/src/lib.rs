@@ -39,6 +39,7 @@ mod stage;
 mod storage;
 mod three_d;
 mod time;
+mod wiring;
 pub mod worker;
 mod zoom;
 

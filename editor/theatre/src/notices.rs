@@ -170,35 +170,72 @@ impl Facts {
 
 /// All notices for these facts, the most urgent first.
 pub fn notices(facts: &Facts) -> Vec<Notice> {
-    let mut all = Vec::new();
-    let mut notify = |kind: Alarm, message: String| {
-        all.push((kind.rank(), Notice { urgency: kind.urgency, message, action: kind.action() }));
-    };
+    let mut raised = Raised::default();
     if facts.emergency {
-        notify(alarms::EMERGENCY, text!("alarm-emergency").to_owned());
+        raised.add(alarms::EMERGENCY, text!("alarm-emergency").to_owned());
     }
+    state_of_the_run(facts, &mut raised);
+    lost_images(facts, &mut raised);
+    for message in &facts.stages {
+        raised.add(alarms::STAGE, message.clone());
+    }
+    if let Some(problem) = facts.problem.as_ref().filter(|_| facts.why_dark.is_none()) {
+        raised.add(alarms::NOT_CHANGED, text!("alarm-not-changed", reason = problem));
+    }
+    old_images(facts, &mut raised);
+    storage(facts, &mut raised);
+    if let Some(problem) = &facts.pedal_problem {
+        raised.add(alarms::PEDAL, text!("alarm-pedal", reason = problem));
+    }
+    doubts(facts, &mut raised);
+    if let Some(difference) = &facts.unlocked {
+        raised.add(alarms::UNLOCKED, text!("alarm-unlocked", difference = difference));
+    }
+    if !facts.public.is_empty() {
+        raised.add(alarms::PUBLIC, text!("alarm-public", nodes = facts.public.join(", ")));
+    }
+    raised.0.sort_by_key(|(rank, _)| *rank);
+    raised.0.into_iter().map(|(_, notice)| notice).collect()
+}
+
+/// Notices with their ranks.
+#[derive(Default)]
+struct Raised(Vec<(usize, Notice)>);
+
+impl Raised {
+    fn add(&mut self, kind: Alarm, message: String) {
+        self.0.push((kind.rank(), Notice { urgency: kind.urgency, message, action: kind.action() }));
+    }
+}
+
+/// Whether the graph runs, as a whole or in part, here or on another machine.
+fn state_of_the_run(facts: &Facts, raised: &mut Raised) {
     if let Some(why) = &facts.why_dark {
-        notify(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
+        raised.add(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
     } else if let Some(outage) = &facts.outage {
-        notify(alarms::RESTARTING, outage.message());
+        raised.add(alarms::RESTARTING, outage.message());
     } else if let Some(why) = facts.raw_only.as_ref().filter(|_| !facts.has_raw) {
-        notify(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
+        raised.add(alarms::NO_IMAGE, text!("alarm-no-image", reason = why));
     } else if let Some(why) = &facts.raw_only {
-        notify(alarms::CAMERA_ONLY, text!("alarm-camera-only", reason = why));
+        raised.add(alarms::CAMERA_ONLY, text!("alarm-camera-only", reason = why));
     } else if let Phase::Failed(why) = &facts.phase {
-        notify(alarms::STOPPED, text!("alarm-stopped", reason = why));
+        raised.add(alarms::STOPPED, text!("alarm-stopped", reason = why));
     }
     if facts.phase == Phase::Ended {
-        notify(alarms::ENDED, text!("alarm-ended").to_owned());
+        raised.add(alarms::ENDED, text!("alarm-ended").to_owned());
     }
     if let Some(machine) = &facts.machine {
         match &machine.lost {
             Some(why) => {
-                notify(alarms::MACHINE_LOST, text!("alarm-machine-lost", machine = &machine.name, reason = why))
+                raised.add(alarms::MACHINE_LOST, text!("alarm-machine-lost", machine = &machine.name, reason = why))
             }
-            None => notify(alarms::ATTACHED, text!("alarm-attached", machine = &machine.name)),
+            None => raised.add(alarms::ATTACHED, text!("alarm-attached", machine = &machine.name)),
         }
     }
+}
+
+/// Cameras and views that sent nothing new, or the same image again.
+fn lost_images(facts: &Facts, raised: &mut Raised) {
     // Without the machine nothing is known of its cameras and views.
     let is_reached = facts.unreached().is_none();
     for LostCameras { titles, since } in facts.lost.iter().filter(|_| is_reached) {
@@ -210,70 +247,66 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
             }
             (_, None) => text!("notice-camera-silent", camera = titles.join(", ")),
         };
-        notify(alarms::CAMERA_LOST, message);
+        raised.add(alarms::CAMERA_LOST, message);
     }
     for (camera, since) in facts.stuck.iter().filter(|_| is_reached) {
-        notify(alarms::CAMERA_STUCK, text!("alarm-camera-stuck", camera = camera, seconds = since.as_secs().max(1)));
+        raised
+            .add(alarms::CAMERA_STUCK, text!("alarm-camera-stuck", camera = camera, seconds = since.as_secs().max(1)));
     }
     for view in facts.stopped.iter().filter(|_| is_reached) {
-        notify(alarms::VIEW_STOPPED, text!("alarm-view-stopped", view = view));
+        raised.add(alarms::VIEW_STOPPED, text!("alarm-view-stopped", view = view));
     }
-    for message in &facts.stages {
-        notify(alarms::STAGE, message.clone());
-    }
-    if let Some(problem) = facts.problem.as_ref().filter(|_| facts.why_dark.is_none()) {
-        notify(alarms::NOT_CHANGED, text!("alarm-not-changed", reason = problem));
-    }
+}
+
+/// The age of the main image.
+fn old_images(facts: &Facts, raised: &mut Raised) {
     if let Some(age) = facts.age_ms.filter(|age| *age > OLD_MS && facts.stopped.is_empty()) {
         let seconds = decimal(age / 1e3, 1);
         match age > STOPPED_MS {
             // A lost camera has its own notice, with the time.
             true if !facts.lost.is_empty() => {}
-            true => notify(alarms::STALE_IMAGE, text!("alarm-image-stale", seconds = seconds)),
-            false => notify(alarms::OLD_IMAGE, text!("alarm-image-old", seconds = seconds)),
+            true => raised.add(alarms::STALE_IMAGE, text!("alarm-image-stale", seconds = seconds)),
+            false => raised.add(alarms::OLD_IMAGE, text!("alarm-image-old", seconds = seconds)),
         }
     }
+}
+
+/// Free space, and what could not be written.
+fn storage(facts: &Facts, raised: &mut Raised) {
     // One notice for a full disk, however many nodes cannot write.
     let is_disk_full = !facts.full_stages.is_empty() || facts.free_bytes.is_some_and(|free| free < FULL_BYTES);
     match facts.free_bytes {
         _ if !facts.full_stages.is_empty() => {
             let stages: Vec<String> = facts.full_stages.iter().map(|stage| format!("`{stage}`")).collect();
-            notify(alarms::DISK_FULL, text!("notice-disk-full-for", stages = stages.join(", ")));
+            raised.add(alarms::DISK_FULL, text!("notice-disk-full-for", stages = stages.join(", ")));
         }
-        _ if is_disk_full => notify(alarms::DISK_FULL, text!("alarm-disk-full").to_owned()),
+        _ if is_disk_full => raised.add(alarms::DISK_FULL, text!("alarm-disk-full").to_owned()),
         Some(free) if free < LOW_BYTES && facts.recording => {
-            notify(alarms::DISK_LOW, text!("alarm-disk-low", size = bytes(free)));
+            raised.add(alarms::DISK_LOW, text!("alarm-disk-low", size = bytes(free)));
         }
         _ => {}
     }
     if let Some(problem) = facts.audit_problem.as_ref().filter(|problem| !(is_disk_full && is_full(problem))) {
-        notify(alarms::AUDIT, text!("alarm-audit", reason = problem));
+        raised.add(alarms::AUDIT, text!("alarm-audit", reason = problem));
     }
-    if let Some(problem) = &facts.pedal_problem {
-        notify(alarms::PEDAL, text!("alarm-pedal", reason = problem));
-    }
+}
+
+/// Reasons not to trust what the images show.
+fn doubts(facts: &Facts, raised: &mut Raised) {
     if facts.drifted {
-        notify(alarms::DRIFTED, text!("alarm-drifted").to_owned());
+        raised.add(alarms::DRIFTED, text!("alarm-drifted").to_owned());
     }
     if facts.was_swapped {
-        notify(alarms::WAS_SWAPPED, text!("alarm-was-swapped").to_owned());
+        raised.add(alarms::WAS_SWAPPED, text!("alarm-was-swapped").to_owned());
     } else if facts.swapped {
-        notify(alarms::SWAPPED, text!("alarm-swapped").to_owned());
+        raised.add(alarms::SWAPPED, text!("alarm-swapped").to_owned());
     }
     if facts.out_of_step {
-        notify(alarms::OUT_OF_STEP, text!("alarm-out-of-step").to_owned());
+        raised.add(alarms::OUT_OF_STEP, text!("alarm-out-of-step").to_owned());
     }
     if facts.unlike {
-        notify(alarms::UNLIKE, text!("alarm-unlike").to_owned());
+        raised.add(alarms::UNLIKE, text!("alarm-unlike").to_owned());
     }
-    if let Some(difference) = &facts.unlocked {
-        notify(alarms::UNLOCKED, text!("alarm-unlocked", difference = difference));
-    }
-    if !facts.public.is_empty() {
-        notify(alarms::PUBLIC, text!("alarm-public", nodes = facts.public.join(", ")));
-    }
-    all.sort_by_key(|(rank, _)| *rank);
-    all.into_iter().map(|(_, notice)| notice).collect()
 }
 
 /// Tracks which nodes have new faults, from one reading of the counters to the next.

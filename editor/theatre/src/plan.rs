@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use panoscope_editor_texts::{Phrase, phrase, text};
+use panoscope_editor_texts::{Phrase, text};
+use panoscope_graph::Param;
 use panoscope_graph::edit::{EditError, GraphEdit};
-use panoscope_graph::{Catalog, Edge, Graph, Param, ParamKind, PresetView, listening};
 use panoscope_imaging::stereo::length::Noise;
 use serde::{Deserialize, Serialize};
 
@@ -14,9 +14,6 @@ use panoscope_editor_model::observe::Output;
 pub const EMERGENCY_STOP: &str = "emergency_stop";
 /// Parameter of drivers that stay stopped until it changes: a new number releases the arm.
 pub const RESET: &str = "reset";
-/// Maximum number of views when the preset names none.
-const MAX_DEFAULT_VIEWS: usize = 4;
-
 /// A view of the theatre.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pane {
@@ -139,205 +136,17 @@ pub struct Plan {
     /// Files that nodes write, with place holders such as `{seq}`.
     pub written: Vec<Written>,
     /// Names of sources.
-    sources: Vec<String>,
+    pub(super) sources: Vec<String>,
 }
 
 /// A name as a title: `left_view` becomes `Left view`.
-fn title(name: &str) -> String {
+pub(super) fn title(name: &str) -> String {
     let spaced = name.replace(['_', '-'], " ");
     let mut letters = spaced.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// The files that a node writes.
-fn written(node: &panoscope_graph::Node, catalog: &Catalog) -> Vec<Written> {
-    let params = node.node_type(catalog).params.iter().zip(&node.params);
-    let paths = params.filter(|(declared, _)| declared.writes).filter_map(|(_, value)| match value {
-        panoscope_graph::ParamValue::Path(path) if !path.as_os_str().is_empty() => Some(path),
-        _ => None,
-    });
-    paths.map(|path| Written { node: node.id.clone(), path: path.clone() }).collect()
-}
-
-/// What the parameters of a source name as the camera of an output: its own part of `views`, or the parameter of the output's name. One source that
-/// is split serves both eyes.
-fn source_of(node: &panoscope_graph::Node, port: &str, catalog: &Catalog) -> Option<String> {
-    let text = |name: &str| match node.params.get(node.node_type(catalog).param(name)?)? {
-        panoscope_graph::ParamValue::Text(text) => Some(text.trim()).filter(|text| !text.is_empty()),
-        _ => None,
-    };
-    let (view, eye) = match port {
-        "left" | "view0" => (0, "left"),
-        "right" | "view1" => (1, "right"),
-        "view2" => (2, ""),
-        "view3" => (3, ""),
-        _ => return None,
-    };
-    let listed =
-        text("views").and_then(|views| views.split([';', '\n']).map(str::trim).filter(|t| !t.is_empty()).nth(view));
-    listed.or_else(|| text(eye)).or_else(|| text("left").filter(|_| view == 1)).map(str::to_owned)
-}
-
-/// Which of the cameras an output is made of.
-fn cameras_of(graph: &Graph, catalog: &Catalog, cameras: &[Pane], output: &Output) -> Vec<usize> {
-    let (mut made_of, mut nodes, mut next) = (vec![output.clone()], Vec::new(), 0);
-    nodes.extend(graph.node(&output.node));
-    while let Some(&node) = nodes.get(next) {
-        next += 1;
-        for Edge { from_node, from_port, .. } in graph.inputs_of(node) {
-            let from = &graph.nodes[*from_node];
-            made_of.push(Output::new(&from.id, &from.node_type(catalog).outputs[*from_port].name));
-            if !nodes.contains(from_node) {
-                nodes.push(*from_node);
-            }
-        }
-    }
-    (0..cameras.len()).filter(|k| made_of.contains(&cameras[*k].output)).collect()
-}
-
-/// The uncertainty of the stereo geometry from the parameters of a measuring node; the usual values without one.
-fn noise_of(graph: &Graph, catalog: &Catalog) -> Noise {
-    let noise = |n: &panoscope_graph::Node| {
-        let value = |name: &str| match n.params.get(n.node_type(catalog).param(name)?)? {
-            panoscope_graph::ParamValue::Float(value) => Some(*value),
-            _ => None,
-        };
-        Some(Noise {
-            disparity_px: value("disparity_noise_px")?,
-            offset_px: value("disparity_offset_px")?,
-            baseline_mm: value("baseline_error_mm")?,
-            focal_percent: value("focal_error_percent")?,
-        })
-    };
-    graph.nodes.iter().find_map(noise).unwrap_or(Noise::USUAL)
-}
-
 impl Plan {
-    /// The plan for a checked graph.
-    pub fn of(graph: &Graph, catalog: &Catalog) -> Self {
-        let node_type = |n: usize| graph.nodes[n].node_type(catalog);
-        let pane = |n: usize, port: usize, label: String| {
-            let declared = &node_type(n).outputs[port];
-            let output = Output::new(&graph.nodes[n].id, &declared.name);
-            Pane { output, packet: declared.packet.name.clone(), label, camera: None }
-        };
-        let read = |n: usize, port: usize| graph.outputs_of(n).any(|e| e.from_port == port);
-        let packet = |n: usize, port: usize| node_type(n).outputs[port].packet.name.as_str();
-        let sources: Vec<usize> = (0..graph.nodes.len()).filter(|&n| node_type(n).source).collect();
-        let cameras: Vec<Pane> = sources
-            .iter()
-            .flat_map(|&n| (0..node_type(n).outputs.len()).map(move |port| (n, port)))
-            .filter(|&(n, port)| packet(n, port) == "image" && read(n, port))
-            .map(|(n, port)| pane(n, port, node_type(n).outputs[port].name.clone()))
-            .collect();
-        let camera_sources = cameras.iter().map(|camera| {
-            let node = graph.nodes.iter().find(|node| node.id == camera.output.node);
-            node.and_then(|node| source_of(node, &camera.output.port, catalog)).unwrap_or_default()
-        });
-        let camera_sources = camera_sources.collect();
-        let mut cameras = cameras;
-        // Named after the port; if several sources have the same one, with the source.
-        let labels: Vec<String> = cameras.iter().map(|c| c.label.clone()).collect();
-        for camera in &mut cameras {
-            let alone = labels.iter().filter(|l| **l == camera.label).count() == 1;
-            let name = if alone { camera.label.clone() } else { format!("{} {}", camera.output.node, camera.label) };
-            camera.label = format!("{} camera", title(&name));
-            camera.camera = Some(title(&name));
-        }
-        let raw = cameras.first().cloned().or_else(|| {
-            let image =
-                |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
-            sources
-                .iter()
-                .find_map(image)
-                .map(|(n, port)| Pane { camera: Some(String::new()), ..pane(n, port, "Camera".to_owned()) })
-        });
-        let mut views: Vec<Pane> = graph.preset.views.iter().map(|v| pane(v.node, v.port, title(&v.label))).collect();
-        // Views of one node that share its name: by their outputs, too.
-        let labels: Vec<String> = views.iter().map(|view| view.label.clone()).collect();
-        for view in &mut views {
-            if labels.iter().filter(|label| **label == view.label).count() > 1 {
-                view.label = format!("{} {}", view.label, view.output.port.replace(['_', '-'], " "));
-            }
-        }
-        if views.is_empty() {
-            let all = || graph.edges.iter().map(|e| (e.from_node, e.from_port, e.to_node));
-            let made = all().filter(|&(from, port, to)| {
-                let wanted = packet(from, port) == "cloud" || node_type(to).side_effects;
-                wanted && !node_type(from).source && PresetView::PACKETS.contains(&packet(from, port))
-            });
-            for (from, port, _) in made {
-                let new = pane(from, port, title(&graph.nodes[from].id));
-                if !views.iter().any(|v| v.output == new.output) && views.len() + 1 < MAX_DEFAULT_VIEWS {
-                    views.push(new);
-                }
-            }
-            views.extend(raw.clone().filter(|raw| !views.iter().any(|v| v.output == raw.output)));
-        }
-        let eye = |n: usize, name: &str| {
-            let port = node_type(n).outputs.iter().position(|port| port.name == name && port.packet.name == "image")?;
-            Some(Output::new(&graph.nodes[n].id, &node_type(n).outputs[port].name))
-        };
-        let pair_of = |n: usize| Some([eye(n, "left")?, eye(n, "right")?]);
-        let rectified = (0..graph.nodes.len()).filter(|n| !sources.contains(n)).find_map(pair_of);
-        let pair = rectified.or_else(|| sources.iter().copied().find_map(pair_of));
-        let shown_cloud = views.iter().find(|v| v.packet == "cloud").map(|v| v.output.clone());
-        let read_cloud = graph.edges.iter().find(|e| packet(e.from_node, e.from_port) == "cloud");
-        let cloud = shown_cloud.or_else(|| read_cloud.map(|e| pane(e.from_node, e.from_port, String::new()).output));
-        let rig = cloud.as_ref().and_then(|cloud| {
-            let made_by = graph.node(&cloud.node)?;
-            let input = node_type(made_by).inputs.iter().position(|p| p.packet.name == "calibration")?;
-            let wire = graph.inputs_of(made_by).iter().find(|e| e.to_port == input)?;
-            let calibration = pane(wire.from_node, wire.from_port, String::new()).output;
-            Some(RigSource { calibration, noise: noise_of(graph, catalog) })
-        });
-        let settings = graph.preset.pinned.iter().map(|pin| Setting {
-            node: graph.nodes[pin.node].id.clone(),
-            param: node_type(pin.node).params[pin.param].clone(),
-            index: pin.param,
-            label: title(&pin.label),
-            range: pin.range,
-        });
-        let stop = |n: usize| {
-            let params = &node_type(n).params;
-            let is_stop = |p: &Param| p.name == EMERGENCY_STOP && matches!(p.kind, ParamKind::Bool { .. });
-            let is_reset = |p: &Param| p.name == RESET && matches!(p.kind, ParamKind::Int { .. });
-            params
-                .iter()
-                .any(is_stop)
-                .then(|| Stop { node: graph.nodes[n].id.clone(), reset: params.iter().position(is_reset) })
-        };
-        let id = |n: usize| graph.nodes[n].id.clone();
-        let shown = views.iter().chain(&cameras).map(|pane| &pane.output).chain(&cloud).chain(pair.iter().flatten());
-        let mut outputs: Vec<&Output> = shown.collect();
-        outputs.sort_unstable();
-        outputs.dedup();
-        let cameras_of =
-            outputs.into_iter().map(|output| (output.clone(), cameras_of(graph, catalog, &cameras, output))).collect();
-        Self {
-            name: graph.name.clone(),
-            views,
-            raw,
-            cameras,
-            camera_sources,
-            cameras_of,
-            pair,
-            cloud,
-            rig,
-            settings: settings.collect(),
-            stops: (0..graph.nodes.len()).filter_map(stop).collect(),
-            listening: listening(graph, catalog)
-                .into_iter()
-                .map(|one| {
-                    let what = phrase!("listens-node", node = one.type_name, address = one.at);
-                    Listens { what, is_public: one.is_public }
-                })
-                .collect(),
-            written: graph.nodes.iter().flat_map(|node| written(node, catalog)).collect(),
-            sources: sources.into_iter().map(id).collect(),
-        }
-    }
-
     /// Whether other machines can reach a node.
     pub fn is_public(&self) -> bool {
         self.listening.iter().any(|one| one.is_public)
@@ -366,7 +175,7 @@ impl Plan {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use panoscope_graph::{GraphText, NodeType, PacketType, Pick, Port, check};
+    use panoscope_graph::{Catalog, Graph, GraphText, NodeType, PacketType, ParamKind, Pick, Port, check};
 
     pub(crate) fn port(text: &str) -> Port {
         let (name, packet) = text.split_once(':').unwrap();

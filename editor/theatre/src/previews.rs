@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
 
-use super::lost::{self, SilentCamera};
+use super::lost::{self, LostCameras, SilentCamera};
 use super::measure::Measure;
 use super::notices::{Facts, OLD_MS, STOPPED, STOPPED_MS};
 use super::outage::FIRST;
@@ -149,24 +149,30 @@ impl Theatre {
         self.measure = Measure::default();
     }
 
-    /// The current facts for notices.
-    pub(super) fn facts(&mut self, status: &Status, counters: &Counters) -> Facts {
-        let running = status.phase == Phase::Running;
+    /// How long an output has been requested in this run. One that nobody requested, in a freeze or another layout, was not silent.
+    fn requested(&self, output: &Output) -> Duration {
         let since = self.running_since.map(time::since).unwrap_or_default();
-        // An output that nobody requested, in a freeze or another layout, was not silent: its time counts from the request.
-        let requested =
-            |output: &Output| self.requested.get(output).map_or(Duration::ZERO, |at| time::since(*at).min(since));
-        let silent = |output: &Output| {
-            self.last_packets.get(output).map(|last_packets| time::since(last_packets.at).min(requested(output)))
-        };
-        let has_stopped = |output: &Output| silent(output).map_or(requested(output) > FIRST, |age| age > STOPPED);
+        self.requested.get(output).map_or(Duration::ZERO, |at| time::since(*at).min(since))
+    }
+
+    /// Time since the last packet of an output; `None` before the first one.
+    fn silent(&self, output: &Output) -> Option<Duration> {
+        self.last_packets.get(output).map(|last| time::since(last.at).min(self.requested(output)))
+    }
+
+    fn has_stopped(&self, output: &Output) -> bool {
+        self.silent(output).map_or(self.requested(output) > FIRST, |age| age > STOPPED)
+    }
+
+    /// Cameras that send nothing.
+    fn lost_cameras(&mut self, counters: &Counters, running: bool) -> Vec<LostCameras> {
         let cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
         let cameras = cameras.map(|(camera, source)| SilentCamera {
             output: &camera.output,
             title: camera.title(),
             source: source.as_str(),
-            since: silent(&camera.output),
-            has_stopped: running && has_stopped(&camera.output),
+            since: self.silent(&camera.output),
+            has_stopped: running && self.has_stopped(&camera.output),
         });
         let mut named = std::mem::take(&mut self.named_lost);
         let lost = lost::cameras(&cameras.collect::<Vec<_>>(), &mut named, |node| {
@@ -174,11 +180,18 @@ impl Theatre {
             counters.faults.get(node).filter(|_| self.machine.is_none())
         });
         self.named_lost = named;
-        let raw_goes_on = self.raw().is_some_and(|raw| !has_stopped(&raw.output));
+        lost
+    }
+
+    /// The current facts for notices.
+    pub(super) fn facts(&mut self, status: &Status, counters: &Counters) -> Facts {
+        let running = status.phase == Phase::Running;
+        let lost = self.lost_cameras(counters, running);
+        let raw_goes_on = self.raw().is_some_and(|raw| !self.has_stopped(&raw.output));
         let is_live = running && self.frozen.is_none();
         let looking = is_live && !self.shows_raw();
         let stopped = self.displayed().into_iter().filter(|_| looking && raw_goes_on && !self.measure.is_waiting());
-        let stopped = stopped.filter(|p| has_stopped(&p.output) && !self.plan.is_source(&p.output.node));
+        let stopped = stopped.filter(|p| self.has_stopped(&p.output) && !self.plan.is_source(&p.output.node));
         let stopped: Vec<String> = stopped.map(|p| p.label.clone()).collect();
         let main = self.plan.views.get(self.layout.main());
         let main = if self.shows_raw() { self.raw() } else { main };

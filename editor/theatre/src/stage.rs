@@ -212,14 +212,7 @@ impl Theatre {
         let is_old = self.is_picture_stale(&pane.output, live);
         let is_dim = stopped || is_old;
         let painter = ui.painter_at(rect);
-        let (message, size, color) = match age {
-            Some(age) if stopped => (text!("view-old", seconds = seconds(age)), 20.0, theme::fault()),
-            None if stopped => (text!("view-no-new-image").to_owned(), 20.0, theme::fault()),
-            Some(age) if age > OLD_MS => (text!("view-old", seconds = seconds(age)), 14.0, theme::warn()),
-            // In steps of 10 ms, so that the number does not flicker.
-            Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), 14.0, theme::muted()),
-            None => (String::new(), 14.0, theme::muted()),
-        };
+        let (message, size, color) = age_label(age, stopped);
         let middle = rect.top() + TITLE / 2.0;
         let font = FontId::proportional(theme::legible(ui.ctx(), size));
         let age = painter.text(pos2(rect.right(), middle), Align2::RIGHT_CENTER, message, font, color);
@@ -328,6 +321,18 @@ impl Theatre {
             // Beside the title, where it covers nothing.
             painter.text(line.right_center(), Align2::RIGHT_CENTER, message, FontId::proportional(26.0), theme::text());
         }
+    }
+}
+
+/// Text, size in points and colour of a view's age.
+fn age_label(age_ms: Option<f64>, has_stopped: bool) -> (String, f32, Color32) {
+    match age_ms {
+        Some(age) if has_stopped => (text!("view-old", seconds = seconds(age)), 20.0, theme::fault()),
+        None if has_stopped => (text!("view-no-new-image").to_owned(), 20.0, theme::fault()),
+        Some(age) if age > OLD_MS => (text!("view-old", seconds = seconds(age)), 14.0, theme::warn()),
+        // In steps of 10 ms, so that the number does not flicker.
+        Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), 14.0, theme::muted()),
+        None => (String::new(), 14.0, theme::muted()),
     }
 }
 
