@@ -87,7 +87,10 @@ mod tests {
         assert_eq!(part(whole, [220.0, 0.0, 420.0, 480.0]), Ok(Rect { x: 220, y: 0, width: 420, height: 480 }));
         assert_eq!(part(whole, [10.0, 20.0, 0.0, 0.0]), Ok(Rect { x: 10, y: 20, width: 630, height: 460 }));
         assert!(
-            part(whole, [300.0, 0.0, 420.0, 480.0]).unwrap_err().to_string().contains("leaves the picture of 640x480")
+            part(whole, [300.0, 0.0, 420.0, 480.0])
+                .unwrap_err()
+                .to_string()
+                .contains("extends beyond the frame of 640x480")
         );
         assert!(part(whole, [0.5, 0.0, 1.0, 1.0]).is_err());
         assert!(part(whole, [-1.0, 0.0, 1.0, 1.0]).is_err());

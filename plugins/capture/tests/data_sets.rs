@@ -327,7 +327,7 @@ fn what_is_wrong_is_named_with_its_file() {
     // One for views of another size.
     tree.write("MiddEval3/testQ/Australia/calib.txt", whole.replace("width=64", "width=128"));
     let message = failure("MiddEval3", "testQ/Australia");
-    assert!(message.contains("views of 128x48, view 0 is 64x48"), "{message}");
+    assert!(message.contains("views of 128x48, but view 0 is 64x48"), "{message}");
     // Truth that is cut off, or of another size.
     let truth = tree.at("MiddEval3/trainingQ/Adirondack/disp0GT.pfm");
     let bytes = std::fs::read(&truth).unwrap();

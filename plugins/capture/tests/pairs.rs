@@ -31,7 +31,7 @@ fn one_folder_is_not_both_views() {
         folder.image(&format!("right_{index}.png"), 100 + index, WIDTH);
     }
     let error = folder.refused(r#"left = ".", right = ".""#);
-    assert!(error.contains("views 0 and 1 are the same files") && error.contains("left_*.png"), "{error}");
+    assert!(error.contains("views 0 and 1 read the same files") && error.contains("left_*.png"), "{error}");
 }
 
 #[test]

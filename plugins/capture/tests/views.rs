@@ -302,7 +302,7 @@ fn a_calibration_travels_with_the_views() {
     assert!(folder.open(r#"left = "a.png""#).process().unwrap().is_empty("calibration").unwrap());
     write(CALIBRATION);
     let message = folder.open(&views("wide.png")).process().err().unwrap().to_string();
-    assert!(message.contains("made for views of 16x8, view 0 is 32x8"), "{message}");
+    assert!(message.contains("made for views of 16x8, but view 0 is 32x8"), "{message}");
     for (text, words) in [
         (CALIBRATION.replace("-4.", "4."), "disparities would be negative"),
         (CALIBRATION[..CALIBRATION.find("R: ").unwrap()].to_owned(), "(`R`) is missing"),

@@ -69,7 +69,7 @@ mod tests {
     fn messages_without_a_time_have_that_of_the_recording() {
         let mut times = Times::default();
         let (first, remark) = times.of("/l", 0, 900 * MS);
-        assert!(first == 900 * MS && remark.is_some_and(|words| words.contains("`/l` have no time")));
+        assert!(first == 900 * MS && remark.is_some_and(|words| words.contains("`/l` have no timestamp")));
         assert_eq!(times.of("/r", 17 * MS, 901 * MS), (901 * MS, None));
     }
 

@@ -64,7 +64,7 @@ fn a_mask_hides_what_is_not_lit() {
         .input_value("homography", map)
         .input_image::<Mask>("mask_left", 8, 8, &[255; 64]);
     let told = node.process().err().map(|error| error.to_string()).unwrap_or_default();
-    assert!(told.contains("`mask_left` is 8x8, `left` is 160x120"), "{told}");
+    assert!(told.contains("`mask_left` is 8x8, but `left` is 160x120"), "{told}");
 }
 
 #[test]
@@ -94,7 +94,7 @@ fn masks_of_a_list_of_views_hide_what_is_not_lit() {
     let told = shown(&[lit(0..160), lit(0..160)]).unwrap_err();
     assert!(told.contains("2 masks are connected for 3 views"), "{told}");
     let told = shown(&[lit(0..160), lit(0..160), vec![255; SIZE.0]]).unwrap_err();
-    assert!(told.contains("mask 2 of `masks` is 160x1, view 2 of `views` is 160x120"), "{told}");
+    assert!(told.contains("mask 2 of `masks` is 160x1, but view 2 of `views` is 160x120"), "{told}");
 }
 
 fn shift(dx: f64, dy: f64) -> Homography {

@@ -286,7 +286,7 @@ mod tests {
             (None, "panoscope-pictures-1 1 1", "1", "no output `features`"),
             (Some(1), "1 1", "1", "panoscope-pictures-1"),
             (Some(1), "panoscope-pictures-1 1 x", "1", "not a number"),
-            (Some(2), "panoscope-pictures-1 1 2 3", "1", "3 numbers, 6 fit 2 channels"),
+            (Some(2), "panoscope-pictures-1 1 2 3", "1", "3 numbers instead of 6 for 2 channels"),
             (Some(1), "panoscope-pictures-1 1 1", "0", "`pictures_limit`"),
             (Some(1), "panoscope-pictures-1 1 1", "nan", "`pictures_limit`"),
         ] {

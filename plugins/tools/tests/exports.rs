@@ -181,7 +181,7 @@ fn pictures_unlike_those_learned_from_are_said_after_a_while() {
     assert!((value - 1.5811 / 3.0).abs() < 0.02, "{value}");
     assert_eq!((is_on, boxes, text.as_str(), warnings), (0.0, 1, "", 0));
     let error = open(&m("1", "panoscope-pictures-1 1 2 3").write(&folder, "damaged.onnx"), "").err().expect("refused");
-    assert!(error.to_string().contains("3 numbers, 6 fit 2 channels"), "{error}");
+    assert!(error.to_string().contains("3 numbers instead of 6 for 2 channels"), "{error}");
     // A model without statistics says nothing of its pictures.
     let plain = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[]))]).write(&folder, "plain.onnx");
     let mut node = open(&plain, "").expect("the model opens");
@@ -214,7 +214,7 @@ fn a_network_that_answers_no_numbers_is_refused_and_single_ones_are_told() {
         assert_eq!(out.detections("detections").expect("detections").items().len(), 1);
     }
     assert_eq!(node.metric("bad_values"), Some(1.0));
-    let warnings = node.logs().iter().filter(|l| l.message.contains("answers 1 values that are NaN")).count();
+    let warnings = node.logs().iter().filter(|l| l.message.contains("returned 1 values that are NaN")).count();
     assert_eq!(warnings, 1, "{:?}", node.logs());
 }
 

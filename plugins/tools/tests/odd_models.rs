@@ -119,9 +119,9 @@ fn names_that_only_one_of_model_and_table_has_are_told() {
     for (table, parts) in [
         (
             "[inputs.left]\nport = 'left'\n[outputs.y]\nport = 'mask'",
-            ["no input `left`", "`x` f32 1x3x16x32, `iterations` i64 1"],
+            ["names input `left`", "`x` f32 1x3x16x32, `iterations` i64 1"],
         ),
-        ("[inputs.x]\nport = 'left'\n[outputs.z]\nport = 'mask'", ["no output `z`", "`y` f32 16x32"]),
+        ("[inputs.x]\nport = 'left'\n[outputs.z]\nport = 'mask'", ["names output `z`", "`y` f32 16x32"]),
         ("[inputs.x]\nport = 'left'\n[outputs.y]\nport = 'mask'", ["`iterations` i64 1", "[inputs.iterations]"]),
     ] {
         let opened = Harness::<Onnx>::from_toml(&format!("params = {{ model = {path:?}, table = {table:?} }}"));

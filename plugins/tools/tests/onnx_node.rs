@@ -111,7 +111,7 @@ fn both_views_reach_a_network_for_pairs() {
     assert!(disparity(140, 200).iter().all(|px| px.is_nan()), "a disparity that is not positive is unknown");
     node.input_image::<Gray8>("left", 12, 8, &[1; 96]).input_image::<Gray8>("right", 10, 8, &[1; 80]);
     let error = node.process().err().expect("refused").to_string();
-    assert!(error.contains("`left` is 12x8, `right` is 10x8"), "{error}");
+    assert!(error.contains("`left` is 12x8, but `right` is 10x8"), "{error}");
     node.input_image::<Gray8>("left", 12, 8, &[1; 96]).input_empty("right");
     let out = node.process().expect("a tick without one of the views");
     assert!(out.is_empty("disparity").expect("an output"));

@@ -454,10 +454,13 @@ mod tests {
             (&format!("{GOOD}colour = 1\n"), "t, line 5: unknown field `colour`"),
             (
                 "[inputs.a]\nport = \"left\"\n[inputs.b]\nport = \"left\"\n[outputs.d]\nport = \"depth\"\n",
-                "`inputs.b.port`: `left` is taken",
+                "`inputs.b.port`: `left` is already used",
             ),
             (&GOOD.replace("[inputs.left]\n", "[inputs.left]\nmean = [1, 2]\n"), "`inputs.left.mean`: 2 numbers"),
-            (&GOOD.replace("[inputs.left]\n", "[inputs.left]\nstd = [0]\n"), "`inputs.left.std`: above 0"),
+            (
+                &GOOD.replace("[inputs.left]\n", "[inputs.left]\nstd = [0]\n"),
+                "`inputs.left.std`: expected a number above 0",
+            ),
             (&GOOD.replace("[inputs.left]\n", "[inputs.left]\nrange = [1, 0]\n"), "`inputs.left.range`"),
             (&GOOD.replace("[inputs.left]\n", "[inputs.left]\nsize = [0, 9]\n"), "`inputs.left.size`: 0x9"),
             (&GOOD.replace("[inputs.left]\n", "[inputs.left]\nmultiple = 32\n"), "fit = \"multiple\""),
