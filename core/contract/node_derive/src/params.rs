@@ -341,6 +341,78 @@ fn default_value(default: &Expr) -> TokenStream {
     }
 }
 
+/// The declaration of a parameter, and what is asserted of it at compile time.
+fn declaration(
+    (ident, param_name): (&Ident, &str),
+    ty: &Type,
+    doc: &str,
+    attribute: &Attribute,
+) -> Result<(TokenStream, TokenStream)> {
+    let Some(default) = &attribute.default else {
+        return Err(Error::new_spanned(
+            ident,
+            format!("parameter `{ident}` needs a default: `#[param(default = ...)]`"),
+        ));
+    };
+    if let Some(unit) = &attribute.unit
+        && !UNITS.contains(&unit.value().as_str())
+    {
+        return Err(Error::new_spanned(
+            unit,
+            format!("`{}` is no unit known here; units are: {}", unit.value(), UNITS.join(", ")),
+        ));
+    }
+    if let Some(unit) = &attribute.unit {
+        check_ending(param_name, unit)?;
+    }
+    let unit = attribute.unit.as_ref().map(LitStr::value).unwrap_or_default();
+    let assert = checks(ident, ty, attribute, default)?;
+    let (min, max) = match &attribute.range {
+        Some(range) => {
+            let (Some(start), Some(end)) = (&range.start, &range.end) else {
+                return Err(Error::new_spanned(range, "a range has two ends: write `range = 16..=256`"));
+            };
+            (quote!(Some((#start) as f64)), quote!(Some((#end) as f64)))
+        }
+        None => (quote!(None), quote!(None)),
+    };
+    let step = match &attribute.step {
+        Some(step) => quote!((#step) as f64),
+        None => quote!(0.0),
+    };
+    let (reopen, must_exist) = (attribute.reopen, attribute.must_exist.is_some());
+    let (writes, shipped) = (attribute.writes.is_some(), attribute.shipped.is_some());
+    let default = default_value(default);
+    let flag = attribute.pick.as_ref().and_then(|pick| PICKS.iter().find(|(word, _)| pick == word));
+    let pick = match flag {
+        Some((_, flag)) => {
+            let flag = Ident::new(flag, proc_macro2::Span::call_site());
+            quote!(::panoscope_node::abi::#flag)
+        }
+        None => quote!(0),
+    };
+    let declared = quote! {
+        ::panoscope_node::__private::param(::panoscope_node::__private::Declared {
+            name: #param_name,
+            doc: #doc,
+            unit: #unit,
+            kind: <#ty as ::panoscope_node::ParamField>::KIND,
+            limits: <#ty as ::panoscope_node::ParamField>::LIMITS,
+            choices: <#ty as ::panoscope_node::ParamField>::CHOICES,
+            default: #default,
+            min: #min,
+            max: #max,
+            step: #step,
+            reopen: #reopen,
+            must_exist: #must_exist,
+            writes: #writes,
+            shipped: #shipped,
+            pick: #pick,
+        })
+    };
+    Ok((declared, assert))
+}
+
 pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let name = &input.ident;
     let Data::Struct(data) = &input.data else {
@@ -385,68 +457,8 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
         };
         let param_name = ident.to_string();
         let param_name = param_name.trim_start_matches("r#");
-        let Some(default) = &attribute.default else {
-            return Err(Error::new_spanned(
-                ident,
-                format!("parameter `{ident}` needs a default: `#[param(default = ...)]`"),
-            ));
-        };
-        if let Some(unit) = &attribute.unit
-            && !UNITS.contains(&unit.value().as_str())
-        {
-            return Err(Error::new_spanned(
-                unit,
-                format!("`{}` is no unit known here; units are: {}", unit.value(), UNITS.join(", ")),
-            ));
-        }
-        if let Some(unit) = &attribute.unit {
-            check_ending(param_name, unit)?;
-        }
-        let unit = attribute.unit.as_ref().map(LitStr::value).unwrap_or_default();
-        asserts.push(checks(ident, ty, &attribute, default)?);
-        let (min, max) = match &attribute.range {
-            Some(range) => {
-                let (Some(start), Some(end)) = (&range.start, &range.end) else {
-                    return Err(Error::new_spanned(range, "a range has two ends: write `range = 16..=256`"));
-                };
-                (quote!(Some((#start) as f64)), quote!(Some((#end) as f64)))
-            }
-            None => (quote!(None), quote!(None)),
-        };
-        let step = match &attribute.step {
-            Some(step) => quote!((#step) as f64),
-            None => quote!(0.0),
-        };
-        let (reopen, must_exist) = (attribute.reopen, attribute.must_exist.is_some());
-        let (writes, shipped) = (attribute.writes.is_some(), attribute.shipped.is_some());
-        let default = default_value(default);
-        let flag = attribute.pick.as_ref().and_then(|pick| PICKS.iter().find(|(word, _)| pick == word));
-        let pick = match flag {
-            Some((_, flag)) => {
-                let flag = Ident::new(flag, proc_macro2::Span::call_site());
-                quote!(::panoscope_node::abi::#flag)
-            }
-            None => quote!(0),
-        };
-        let declaration = quote! {
-            ::panoscope_node::__private::param(::panoscope_node::__private::Declared {
-                name: #param_name,
-                doc: #doc,
-                unit: #unit,
-                kind: <#ty as ::panoscope_node::ParamField>::KIND,
-                limits: <#ty as ::panoscope_node::ParamField>::LIMITS,
-                choices: <#ty as ::panoscope_node::ParamField>::CHOICES,
-                default: #default,
-                min: #min,
-                max: #max,
-                step: #step,
-                reopen: #reopen,
-                must_exist: #must_exist,
-                writes: #writes,
-                shipped: #shipped,
-                pick: #pick,
-            })
-        };
+        let (declaration, assert) = declaration((ident, param_name), ty, &doc, &attribute)?;
+        asserts.push(assert);
         declared.own(param_name, ident, declaration);
         reads.push(quote! { #ident: <#ty as ::panoscope_node::ParamField>::read(&values[#index])? });
     }

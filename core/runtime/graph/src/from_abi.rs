@@ -302,9 +302,8 @@ fn pick(place: &str, param: &abi::Param) -> Result<Pick> {
     Err(FromAbiError::Contradiction { place: place.to_owned(), problem: problem.to_owned() })
 }
 
-unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
-    let contradiction = |problem: String| Err(FromAbiError::Contradiction { place: place.to_owned(), problem });
-    let (default, min, max, step) = (param.default_number, param.min, param.max, param.step);
+/// Flags that contradict each other or the kind of the parameter.
+fn contradiction_of_flags(param: &abi::Param) -> Option<String> {
     let of_paths = [
         (abi::PARAM_MUST_EXIST, "only a path can be asked to exist"),
         (abi::PARAM_WRITES, "only a path can name a file that is written"),
@@ -313,22 +312,60 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
     if let Some((_, problem)) =
         of_paths.iter().find(|(flag, _)| param.flags & flag != 0 && param.kind != abi::PARAM_PATH)
     {
-        return contradiction((*problem).to_owned());
+        return Some((*problem).to_owned());
     }
     if param.flags & abi::PARAM_WRITES != 0 && param.flags & (abi::PARAM_MUST_EXIST | abi::PARAM_SHIPPED) != 0 {
-        return contradiction("a file that is written neither must exist nor comes with the plugin".to_owned());
+        return Some("a file that is written neither must exist nor comes with the plugin".to_owned());
     }
+    None
+}
+
+/// Limits, step or default that contradict each other.
+fn contradiction_of_numbers(param: &abi::Param) -> Option<String> {
+    let (default, min, max, step) = (param.default_number, param.min, param.max, param.step);
     let numeric = matches!(param.kind, abi::PARAM_INT | abi::PARAM_FLOAT);
     if numeric || param.kind == abi::PARAM_FLOATS {
         if min.is_nan() || max.is_nan() || min > max {
-            return contradiction(format!("the range {min} to {max} is empty"));
+            return Some(format!("the range {min} to {max} is empty"));
         }
         if step.is_nan() || step.is_infinite() || step < 0.0 {
-            return contradiction(format!("{step} is no step"));
+            return Some(format!("{step} is no step"));
         }
     }
     if numeric && !(default >= min && default <= max) {
-        return contradiction(format!("the default {default} lies outside the range {min} to {max}"));
+        return Some(format!("the default {default} lies outside the range {min} to {max}"));
+    }
+    None
+}
+
+/// A whole number with its limits, or what contradicts them.
+fn int_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
+    let contradiction = |problem: String| Err(FromAbiError::Contradiction { place: place.to_owned(), problem });
+    let (default, min, max, step) = (param.default_number, param.min, param.max, param.step);
+    let whole = |n: f64| n.fract() == 0.0 && n.abs() <= MAX_INT;
+    let limit = |n: f64| if n.is_infinite() || whole(n) { Ok(n.is_finite().then_some(n as i64)) } else { Err(n) };
+    let (min, max) = match (limit(min), limit(max)) {
+        (Ok(min), Ok(max)) => (min, max),
+        (Err(n), _) | (_, Err(n)) => return contradiction(format!("{n} is not a limit for a whole number")),
+    };
+    if !whole(default) || !whole(step) {
+        return contradiction(format!("the default {default} and the step {step} must be whole numbers"));
+    }
+    let (default, step) = (default as i64, step as i64);
+    if step > 1 && (default - min.unwrap_or(0)) % step != 0 {
+        return contradiction(format!(
+            "the default {default} is not on the steps of {step} that begin at {}",
+            min.unwrap_or(0)
+        ));
+    }
+    Ok(ParamKind::Int { default, min, max, step: (step > 0).then_some(step) })
+}
+
+unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
+    let contradiction = |problem: String| Err(FromAbiError::Contradiction { place: place.to_owned(), problem });
+    let (default, min, max, step) = (param.default_number, param.min, param.max, param.step);
+    if let Some(problem) = contradiction_of_flags(param).or_else(|| contradiction_of_numbers(param)) {
+        return contradiction(problem);
     }
     Ok(match param.kind {
         abi::PARAM_BOOL => match default {
@@ -336,26 +373,7 @@ unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
             1.0 => ParamKind::Bool { default: true },
             other => return contradiction(format!("the default of a switch is 0 or 1, not {other}")),
         },
-        abi::PARAM_INT => {
-            let whole = |n: f64| n.fract() == 0.0 && n.abs() <= MAX_INT;
-            let limit =
-                |n: f64| if n.is_infinite() || whole(n) { Ok(n.is_finite().then_some(n as i64)) } else { Err(n) };
-            let (min, max) = match (limit(min), limit(max)) {
-                (Ok(min), Ok(max)) => (min, max),
-                (Err(n), _) | (_, Err(n)) => return contradiction(format!("{n} is not a limit for a whole number")),
-            };
-            if !whole(default) || !whole(step) {
-                return contradiction(format!("the default {default} and the step {step} must be whole numbers"));
-            }
-            let (default, step) = (default as i64, step as i64);
-            if step > 1 && (default - min.unwrap_or(0)) % step != 0 {
-                return contradiction(format!(
-                    "the default {default} is not on the steps of {step} that begin at {}",
-                    min.unwrap_or(0)
-                ));
-            }
-            ParamKind::Int { default, min, max, step: (step > 0).then_some(step) }
-        }
+        abi::PARAM_INT => int_kind(place, param)?,
         abi::PARAM_FLOAT => {
             // A limit of the type itself says nothing.
             let limit = |n: f64| (n.abs() < f64::from(f32::MAX)).then_some(n);

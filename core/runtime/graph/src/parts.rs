@@ -251,6 +251,43 @@ impl Flattener<'_> {
         self.flat.parts.push(Part { node, interface });
     }
 
+    /// The text of a part: of the editor if it is open there, else of the file.
+    fn read(&mut self, file: &Spanned<String>, path: &Path, key: &Path) -> Option<String> {
+        Some(match self.texts.get(key) {
+            Some(text) => text.clone(),
+            // Errors quote the file: what is no graph must not show in them.
+            None if path.canonicalize().is_ok_and(|file| file.is_file() && !has_extension_of_graph(&file)) => {
+                let message = format!("`{}` is not a part: names of graph files end in .toml", file.value);
+                self.error("part-unreadable", &file.span, message)
+                    .help("rename the file, or correct the path; of a link the name of its target counts");
+                return None;
+            }
+            None => match read_file(path) {
+                Ok(bytes) => match String::from_utf8(bytes) {
+                    Ok(text) => text,
+                    Err(_) => {
+                        let message = format!("`{}` is not UTF-8 text", file.value);
+                        self.error("part-unreadable", &file.span, message).help("save it as UTF-8 in your editor");
+                        return None;
+                    }
+                },
+                Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+                    let message = format!("there is no part `{}`", file.value);
+                    let near = sibling(path).and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
+                    self.error("part-missing", &file.span, message)
+                        .label(near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default())
+                        .help(format!("looked for {}; paths are relative to the file that names them", path.display()));
+                    return None;
+                }
+                Err(e) => {
+                    let message = format!("the part `{}` cannot be read: {e}", file.value);
+                    self.error("part-unreadable", &file.span, message);
+                    return None;
+                }
+            },
+        })
+    }
+
     /// Reads the file of a part and adds its nodes.
     fn load(&mut self, node: &NodeText, file: &Spanned<String>, chain: &[(PathBuf, String)]) -> Option<Interface> {
         let path = self.sources.of(&file.span).dir.join(&file.value);
@@ -267,39 +304,7 @@ impl Flattener<'_> {
                 .help("use the nodes of the inner parts directly");
             return None;
         }
-        let text = match self.texts.get(&key) {
-            Some(text) => text.clone(),
-            // Errors quote the file: what is no graph must not show in them.
-            None if path.canonicalize().is_ok_and(|file| file.is_file() && !has_extension_of_graph(&file)) => {
-                let message = format!("`{}` is not a part: names of graph files end in .toml", file.value);
-                self.error("part-unreadable", &file.span, message)
-                    .help("rename the file, or correct the path; of a link the name of its target counts");
-                return None;
-            }
-            None => match read_file(&path) {
-                Ok(bytes) => match String::from_utf8(bytes) {
-                    Ok(text) => text,
-                    Err(_) => {
-                        let message = format!("`{}` is not UTF-8 text", file.value);
-                        self.error("part-unreadable", &file.span, message).help("save it as UTF-8 in your editor");
-                        return None;
-                    }
-                },
-                Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-                    let message = format!("there is no part `{}`", file.value);
-                    let near = sibling(&path).and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
-                    self.error("part-missing", &file.span, message)
-                        .label(near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default())
-                        .help(format!("looked for {}; paths are relative to the file that names them", path.display()));
-                    return None;
-                }
-                Err(e) => {
-                    let message = format!("the part `{}` cannot be read: {e}", file.value);
-                    self.error("part-unreadable", &file.span, message);
-                    return None;
-                }
-            },
-        };
+        let text = self.read(file, &path, &key)?;
         let text_length = text.len();
         let read: usize = self.sources.list().last().map_or(0, |last| last.base() + last.text.len());
         if read + text_length > MAX_TEXT_BYTES {

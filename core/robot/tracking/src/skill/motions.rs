@@ -139,11 +139,20 @@ fn nothing_near(_: f64) -> f64 {
 
 /// All motions.
 pub fn all(settings: &Settings) -> Vec<Motion> {
-    let aside = [2.0 / 3.0, 1.0 / 3.0, 2.0 / 3.0];
-    let along = move |way: f64| [10.0 + way * aside[0], -5.0 + way * aside[1], 60.0 + way * aside[2]];
-    let mut motions = Vec::new();
+    vec![line(), reaches(settings), circle(), knot(), rest(), leave(), hands(settings)]
+}
 
-    motions.push(Motion {
+/// Direction of straight motions.
+const ASIDE: [f64; 3] = [2.0 / 3.0, 1.0 / 3.0, 2.0 / 3.0];
+
+/// The point after `way` mm of a straight motion, mm.
+fn along(way: f64) -> [f64; 3] {
+    [10.0 + way * ASIDE[0], -5.0 + way * ASIDE[1], 60.0 + way * ASIDE[2]]
+}
+
+/// A straight line at constant speed.
+fn line() -> Motion {
+    Motion {
         name: "line",
         length_s: 5.0,
         paths: vec![Box::new(move |t| Some(along(20.0 * t)))],
@@ -161,12 +170,15 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
             ("sparc", arc_length(5.0, |_| 1.0)),
             ("movements", 1.0),
         ],
-    });
+    }
+}
 
+/// Reaches there and back with rests between them.
+fn reaches(settings: &Settings) -> Motion {
     let (length, s, rest, count) = (60.0, 1.2, 0.8, 6.0);
     let [ldlj, sparc, jerk] = known_reach(length, s, settings);
     let slow = edge_of_reach(settings.rest_mm_s * s / length);
-    motions.push(Motion {
+    Motion {
         name: "reaches",
         length_s: count * (s + rest) + rest,
         paths: vec![Box::new(move |t| {
@@ -188,14 +200,17 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
             ("ldlj", ldlj),
             ("sparc", sparc),
             ("jerk_rms_mm_s3", jerk),
-            ("depth_range_mm", length * aside[2]),
-            ("depth_path_mm", count * length * (1.0 - 2.0 * reach(slow)) * aside[2]),
+            ("depth_range_mm", length * ASIDE[2]),
+            ("depth_path_mm", count * length * (1.0 - 2.0 * reach(slow)) * ASIDE[2]),
         ],
-    });
+    }
+}
 
+/// Circles at constant speed.
+fn circle() -> Motion {
     let (radius, turns) = (12.0, 2.5);
     let omega = TAU / 5.0;
-    motions.push(Motion {
+    Motion {
         name: "circle",
         length_s: 5.0 * turns,
         paths: vec![Box::new(move |t| Some([radius * (omega * t).cos(), radius * (omega * t).sin(), 60.0]))],
@@ -213,10 +228,13 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
             ("depth_path_mm", 0.0),
             ("idle_share", 0.0),
         ],
-    });
+    }
+}
 
+/// A figure in space that touches the tissue five times.
+fn knot() -> Motion {
     let omega = TAU / 8.0;
-    motions.push(Motion {
+    Motion {
         name: "knot",
         length_s: 16.0,
         paths: vec![Box::new(move |t| {
@@ -232,17 +250,23 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
             ("depth_range_mm", 10.0),
             ("contacts", 5.0),
         ],
-    });
+    }
+}
 
-    motions.push(Motion {
+/// An instrument that does not move.
+fn rest() -> Motion {
+    Motion {
         name: "rest",
         length_s: 4.0,
         paths: vec![Box::new(move |_| Some(along(0.0)))],
         tissue_mm: nothing_near,
         known: vec![("idle_share", 1.0), ("path_mm", 0.0), ("movements", 0.0), ("time_s", 4.0), ("box_cm3", 0.0)],
-    });
+    }
+}
 
-    motions.push(Motion {
+/// A line that leaves the image for 10 s.
+fn leave() -> Motion {
+    Motion {
         name: "leave",
         length_s: 18.0,
         paths: vec![Box::new(move |t| (!(4.0..14.0).contains(&t)).then(|| along(10.0 * t)))],
@@ -254,9 +278,11 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
             ("path_mm", 80.0),
             ("movements", 2.0),
         ],
-    });
+    }
+}
 
-    // Both reach for 4 s, the second 2 s later: together from 2 s on.
+/// Two instruments that reach for 4 s each, the second 2 s later: together from 2 s on.
+fn hands(settings: &Settings) -> Motion {
     let (length, s) = (80.0, 4.0);
     let slow = s * edge_of_reach(settings.rest_mm_s * s / length);
     let speed = move |t: f64| if (0.0..s).contains(&t) { (t / s * (1.0 - t / s)).powi(2) } else { 0.0 };
@@ -269,9 +295,9 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
     }
     let [a, b, aa, bb, ab] = sums;
     let path = move |start: f64, at: [f64; 3]| -> Path {
-        Box::new(move |t| Some(std::array::from_fn(|k| at[k] + length * reach((t - start) / s) * aside[k])))
+        Box::new(move |t| Some(std::array::from_fn(|k| at[k] + length * reach((t - start) / s) * ASIDE[k])))
     };
-    motions.push(Motion {
+    Motion {
         name: "hands",
         length_s: 8.0,
         paths: vec![path(1.0, [0.0; 3]), path(3.0, [40.0, 0.0, 50.0])],
@@ -280,8 +306,7 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
             ("overlap", (2.0 - 2.0 * slow) / (6.0 - 2.0 * slow)),
             ("correlation", (n * ab - a * b) / ((n * aa - a * a) * (n * bb - b * b)).sqrt()),
         ],
-    });
-    motions
+    }
 }
 
 /// Samples a motion, measures it, and returns known and measured values.

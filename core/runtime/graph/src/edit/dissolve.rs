@@ -4,9 +4,10 @@ use super::files::{FileEdits, local, parent, whole};
 use super::make_part::{rebase, relative};
 use super::part::{PartPortKind, free_name};
 use super::references::{for_each_reference, references, rename_references, replace};
-use super::{EditError, place_at};
+use super::{EditError, GraphEdit, place_at};
 use crate::catalog::Catalog;
 use crate::source::folder;
+use std::collections::HashMap;
 use std::path::Path;
 use toml_edit::{Item, Table, Value as EditValue};
 
@@ -24,18 +25,6 @@ impl FileEdits<'_> {
         let part = self.file(&inner)?.clone();
         let own = part.node_names();
         let paths = self.path_params(catalog, &own.iter().map(|n| whole(id, n)).collect::<Vec<_>>());
-        let folders: Vec<String> = part
-            .document
-            .get("plugin_paths")
-            .and_then(Item::as_array)
-            .map(|list| list.iter().filter_map(EditValue::as_str).map(str::to_owned).collect())
-            .unwrap_or_default();
-        let plugins: Vec<String> = part
-            .document
-            .get("plugins")
-            .and_then(Item::as_array)
-            .map(|list| list.iter().filter_map(EditValue::as_str).map(str::to_owned).collect())
-            .unwrap_or_default();
         let edit = self.file(&home)?;
         let user = edit.nodes()?.remove(&name).ok_or_else(|| EditError::NoPart { id: id.to_owned() })?;
         let taken = edit.node_names();
@@ -45,129 +34,185 @@ impl FileEdits<'_> {
             let new = free_name(&name, node, used);
             names.push((node.clone(), new));
         }
-        let new_name = |node: &str| names.iter().find(|(old, _)| old == node).map(|(_, new)| new.clone());
-        // `node.port` of the part's file as the graph's file names it now.
-        let moved = |target: &str| {
-            let (node, port) = target.split_once('.')?;
-            Some(format!("{}.{port}", new_name(node)?))
-        };
-        let position = user.as_table().and_then(Table::position);
-        for (k, (old, new)) in names.iter().enumerate() {
-            let mut item = part.document.get("nodes").and_then(|n| n.get(old)).cloned().unwrap_or_default();
-            if let Some(inputs) = item.get_mut("inputs").and_then(Item::as_table_like_mut) {
-                for (_, entry) in inputs.iter_mut() {
-                    rename_all(entry, &names);
-                }
-            }
-            if let Some(values) = item.get_mut("params").and_then(Item::as_table_like_mut) {
-                for (key, entry) in values.iter_mut() {
-                    let several = paths.get(&(old.clone(), key.get().to_owned()));
-                    if let (Some(several), Some(value)) = (several, entry.as_value_mut()) {
-                        rebase(value, *several, &from_dir, &to_dir);
-                    }
-                }
-            }
-            if let Some(graph) = item.get_mut("graph").and_then(Item::as_value_mut) {
-                rebase(graph, false, &from_dir, &to_dir);
-            }
-            for key in ["isolate", "on"] {
-                if let (Some(name), Some(table)) = (user.get(key), item.as_table_like_mut()) {
-                    table.insert(key, name.clone());
-                    if key == "on" {
-                        table.remove("isolate");
-                    }
-                }
-            }
+        let dissolved = Dissolved { part: &part, user, name, names };
+        let position = dissolved.user.as_table().and_then(Table::position);
+        for (k, (old, new)) in dissolved.names.iter().enumerate() {
+            let mut item = dissolved.node(old, &paths, (&from_dir, &to_dir));
             if let Item::Table(table) = &mut item {
                 place_at(table, position);
                 if k == 0 {
-                    let first = user.as_table().and_then(|t| t.decor().prefix().cloned()).unwrap_or_default();
-                    let own = table.decor().prefix().and_then(|p| p.as_str()).unwrap_or_default().trim_start();
-                    let prefix = format!("{}{own}", first.as_str().unwrap_or("\n"));
-                    table.decor_mut().set_prefix(prefix);
+                    dissolved.keep_comment(table);
                 }
             }
             edit.nodes()?.insert(new, item);
         }
-        // What the graph gave to the part it gives to the nodes.
-        for port in part.part_port_names(PartPortKind::Input) {
-            let Some(value) = value_of(&user, "inputs", &port) else { continue };
-            for target in part.part_targets(PartPortKind::Input, &port) {
-                let Some((node, input)) = target.split_once('.') else { continue };
-                let Some(node) = new_name(node) else { continue };
-                let inside = edit.input_references(&node, input).unwrap_or_default();
+        dissolved.connect_inputs(edit, id)?;
+        dissolved.set_params(edit)?;
+        dissolved.redirect_readers(edit)?;
+        for plugin in texts(&part, "plugins") {
+            edit.add_plugin(&plugin)?;
+        }
+        for folder in texts(&part, "plugin_paths") {
+            edit.add_plugin_path(&rebased_folder(&folder, &from_dir, &to_dir));
+        }
+        let whole_names = |(old, new): (String, String)| (whole(id, &old), whole(&level, &new));
+        Ok(dissolved.names.into_iter().map(whole_names).collect())
+    }
+}
+
+/// The texts of a list at the top of a file.
+fn texts(part: &GraphEdit, key: &str) -> Vec<String> {
+    let list = part.document.get(key).and_then(Item::as_array);
+    list.into_iter().flatten().filter_map(EditValue::as_str).map(str::to_owned).collect()
+}
+
+/// A part that becomes nodes of the graph's file.
+struct Dissolved<'p> {
+    part: &'p GraphEdit,
+    /// Its node in the graph's file: what the graph gives to it.
+    user: Item,
+    /// Name of that node.
+    name: String,
+    /// Names of its nodes, in the part's file and in the graph's.
+    names: Vec<(String, String)>,
+}
+
+impl Dissolved<'_> {
+    fn new_name(&self, node: &str) -> Option<&str> {
+        self.names.iter().find(|(old, _)| old == node).map(|(_, new)| new.as_str())
+    }
+
+    /// `node.port` of the part's file as the graph's file names it now.
+    fn moved(&self, target: &str) -> Option<String> {
+        let (node, port) = target.split_once('.')?;
+        Some(format!("{}.{port}", self.new_name(node)?))
+    }
+
+    /// A node of the part with new names, and with paths that hold in the graph's folder. `paths` has the parameters that are paths.
+    fn node(&self, old: &str, paths: &HashMap<(String, String), bool>, (from_dir, to_dir): (&Path, &Path)) -> Item {
+        let mut item = self.part.document.get("nodes").and_then(|n| n.get(old)).cloned().unwrap_or_default();
+        if let Some(inputs) = item.get_mut("inputs").and_then(Item::as_table_like_mut) {
+            for (_, entry) in inputs.iter_mut() {
+                rename_all(entry, &self.names);
+            }
+        }
+        if let Some(values) = item.get_mut("params").and_then(Item::as_table_like_mut) {
+            for (key, entry) in values.iter_mut() {
+                let several = paths.get(&(old.to_owned(), key.get().to_owned()));
+                if let (Some(several), Some(value)) = (several, entry.as_value_mut()) {
+                    rebase(value, *several, from_dir, to_dir);
+                }
+            }
+        }
+        if let Some(graph) = item.get_mut("graph").and_then(Item::as_value_mut) {
+            rebase(graph, false, from_dir, to_dir);
+        }
+        for key in ["isolate", "on"] {
+            if let (Some(name), Some(table)) = (self.user.get(key), item.as_table_like_mut()) {
+                table.insert(key, name.clone());
+                if key == "on" {
+                    table.remove("isolate");
+                }
+            }
+        }
+        item
+    }
+
+    /// The comment above the part stays above its first node.
+    fn keep_comment(&self, first: &mut Table) {
+        let above = self.user.as_table().and_then(|t| t.decor().prefix().cloned()).unwrap_or_default();
+        let own = first.decor().prefix().and_then(|p| p.as_str()).unwrap_or_default().trim_start();
+        let prefix = format!("{}{own}", above.as_str().unwrap_or("\n"));
+        first.decor_mut().set_prefix(prefix);
+    }
+
+    /// Connects the nodes to what the graph connected the part `id` to.
+    fn connect_inputs(&self, edit: &mut GraphEdit, id: &str) -> Result<(), EditError> {
+        for port in self.part.part_port_names(PartPortKind::Input) {
+            let Some(value) = value_of(&self.user, "inputs", &port) else { continue };
+            for target in self.part.part_targets(PartPortKind::Input, &port) {
+                let Some((old, input)) = target.split_once('.') else { continue };
+                let Some(node) = self.new_name(old) else { continue };
+                let inside = edit.input_references(node, input).unwrap_or_default();
                 if !inside.is_empty() {
-                    return Err(EditError::MixedInput { id: whole(id, &node), input: input.to_owned() });
+                    return Err(EditError::MixedInput { id: whole(id, old), input: input.to_owned() });
                 }
                 let mut entry = Item::Value(value.clone());
                 // A wire from the part to itself.
                 for_each_reference(&mut entry, &mut |value| {
-                    let own = value.as_str().and_then(|text| text.strip_prefix(&format!("{name}.")));
-                    let own = own.and_then(|port| moved(part.part_targets(PartPortKind::Output, port).first()?));
-                    if let Some(own) = own {
-                        replace(value, &own);
+                    let own = value.as_str().and_then(|text| text.strip_prefix(&format!("{}.", self.name)));
+                    let target =
+                        own.and_then(|port| self.moved(self.part.part_targets(PartPortKind::Output, port).first()?));
+                    if let Some(target) = target {
+                        replace(value, &target);
                     }
                 });
                 if let Item::Value(value) = entry {
-                    edit.put(&node, "inputs", input, value)?;
+                    edit.put(node, "inputs", input, value)?;
                 }
             }
         }
-        for port in part.part_port_names(PartPortKind::Param) {
-            let Some(value) = value_of(&user, "params", &port) else { continue };
-            for target in part.part_targets(PartPortKind::Param, &port) {
+        Ok(())
+    }
+
+    /// Gives the nodes the values that the graph gave to the part.
+    fn set_params(&self, edit: &mut GraphEdit) -> Result<(), EditError> {
+        for port in self.part.part_port_names(PartPortKind::Param) {
+            let Some(value) = value_of(&self.user, "params", &port) else { continue };
+            for target in self.part.part_targets(PartPortKind::Param, &port) {
                 let Some((node, param)) = target.split_once('.') else { continue };
-                if let Some(node) = new_name(node) {
-                    edit.put(&node, "params", param, value.clone())?;
+                if let Some(node) = self.new_name(node) {
+                    edit.put(node, "params", param, value.clone())?;
                 }
             }
         }
-        // Who read the part reads the nodes.
-        let of_part = |text: &str, kind: PartPortKind| -> Vec<String> {
-            let Some((node, port)) = text.split_once('.') else { return Vec::new() };
-            match node.strip_prefix(&name) {
-                Some("") => part.part_targets(kind, port).iter().filter_map(|t| moved(t)).collect(),
-                // A node inside that is named from outside.
-                Some(inner) if inner.starts_with('/') => {
-                    let (first, rest) =
-                        inner[1..].split_once('/').map_or((&inner[1..], String::new()), |(f, r)| (f, format!("/{r}")));
-                    new_name(first).map(|new| format!("{new}{rest}.{port}")).into_iter().collect()
-                }
-                _ => Vec::new(),
+        Ok(())
+    }
+
+    /// The ports of nodes that a reference to a port of the part means.
+    fn targets_of(&self, text: &str, kind: PartPortKind) -> Vec<String> {
+        let Some((node, port)) = text.split_once('.') else { return Vec::new() };
+        match node.strip_prefix(&self.name) {
+            Some("") => self.part.part_targets(kind, port).iter().filter_map(|t| self.moved(t)).collect(),
+            // A node inside that is named from outside.
+            Some(inner) if inner.starts_with('/') => {
+                let (first, rest) =
+                    inner[1..].split_once('/').map_or((&inner[1..], String::new()), |(f, r)| (f, format!("/{r}")));
+                self.new_name(first).map(|new| format!("{new}{rest}.{port}")).into_iter().collect()
             }
-        };
-        let mut redirect = |value: &mut EditValue| {
-            let target = value.as_str().and_then(|text| of_part(text, PartPortKind::Output).into_iter().next());
-            if let Some(target) = target {
-                replace(value, &target);
-            }
-        };
+            _ => Vec::new(),
+        }
+    }
+
+    fn redirect(&self, value: &mut EditValue, kind: PartPortKind) {
+        let target = value.as_str().and_then(|text| self.targets_of(text, kind).into_iter().next());
+        if let Some(target) = target {
+            replace(value, &target);
+        }
+    }
+
+    /// Lets inputs, views and pinned parameters that named the part name its nodes.
+    fn redirect_readers(&self, edit: &mut GraphEdit) -> Result<(), EditError> {
+        let mut redirect = |value: &mut EditValue| self.redirect(value, PartPortKind::Output);
         edit.each_input(|entries| entries.iter_mut().for_each(|(_, item)| for_each_reference(item, &mut redirect)))?;
         if let Some(views) = edit.document.get_mut("preset").and_then(|p| p.get_mut("views")) {
             for_each_reference(views, &mut redirect);
         }
         if let Some(pinned) = edit.document.get_mut("preset").and_then(|p| p.get_mut("pinned")) {
             super::for_each_table(pinned, |pin| {
-                let Some(value) = pin.get_mut("param").and_then(Item::as_value_mut) else { return };
-                let target = value.as_str().and_then(|text| of_part(text, PartPortKind::Param).into_iter().next());
-                if let Some(target) = target {
-                    replace(value, &target);
+                if let Some(value) = pin.get_mut("param").and_then(Item::as_value_mut) {
+                    self.redirect(value, PartPortKind::Param);
                 }
             });
         }
         for kind in PartPortKind::ALL {
-            for port in part.part_port_names(kind) {
-                let targets: Vec<String> = part.part_targets(kind, &port).iter().filter_map(|t| moved(t)).collect();
-                edit.replace_part_target(kind, &format!("{name}.{port}"), &targets);
+            for port in self.part.part_port_names(kind) {
+                let targets = self.part.part_targets(kind, &port);
+                let targets: Vec<String> = targets.iter().filter_map(|t| self.moved(t)).collect();
+                edit.replace_part_target(kind, &format!("{}.{port}", self.name), &targets);
             }
         }
-        for plugin in plugins {
-            edit.add_plugin(&plugin)?;
-        }
-        for folder in folders {
-            edit.add_plugin_path(&rebased_folder(&folder, &from_dir, &to_dir));
-        }
-        Ok(names.into_iter().map(|(old, new)| (whole(id, &old), whole(&level, &new))).collect())
+        Ok(())
     }
 }
 

@@ -47,6 +47,24 @@ impl Ports {
     }
 }
 
+/// What a part under construction offers.
+#[derive(Default)]
+struct PartPorts {
+    inputs: Ports,
+    outputs: Ports,
+    params: Ports,
+}
+
+impl PartPorts {
+    fn of(&mut self, kind: PartPortKind) -> &mut Ports {
+        match kind {
+            PartPortKind::Input => &mut self.inputs,
+            PartPortKind::Output => &mut self.outputs,
+            PartPortKind::Param => &mut self.params,
+        }
+    }
+}
+
 impl FileEdits<'_> {
     /// Moves nodes of one level into a new file `file`, and puts one node `name` in their place. Inputs, outputs and
     /// parameters of the part follow from the wires, pins and arguments that cross the selection. Relative paths are
@@ -89,95 +107,31 @@ impl FileEdits<'_> {
             reference.split_once('.').is_some_and(|(node, _)| names.iter().any(|name| mentions(node, name)))
         };
         let mut part = GraphEdit { final_newline: true, crlf: edit.crlf, ..GraphEdit::default() };
-        let (mut inputs, mut outputs, mut params) = (Ports::default(), Ports::default(), Ports::default());
-        // What the file's own `[part]` offers of these nodes stays offered.
-        for kind in PartPortKind::ALL {
-            for port in edit.part_port_names(kind) {
-                let targets = edit.part_targets(kind, &port);
-                let ports = match kind {
-                    PartPortKind::Input => &mut inputs,
-                    PartPortKind::Output => &mut outputs,
-                    PartPortKind::Param => &mut params,
-                };
-                for target in targets.iter().filter(|t| inside(t)) {
-                    if let Some((node, port)) = target.split_once('.') {
-                        let (name, ..) = ports.offer(node, port);
-                        let new = format!("{{}}.{name}");
-                        edit.replace_part_target(kind, target, &[new]);
-                    }
-                }
-            }
-        }
+        let mut ports = PartPorts::default();
+        keep_offers(edit, &inside, &mut ports);
         let mut position = None;
-        let mut prefix = None;
         let mut moved: Vec<(String, Item)> = Vec::new();
         for &id in &names {
             let no_node = || EditError::NoNode { id: id.to_owned() };
             let mut item = edit.nodes()?.remove(id).ok_or_else(no_node)?;
-            if let Item::Table(table) = &mut item {
-                position = position.or(table.position());
-                if prefix.is_none() {
-                    prefix = Some(table.decor().prefix().cloned().unwrap_or_default());
-                }
-            }
+            position = position.or(item.as_table().and_then(Table::position));
             refuse_arguments(id, &item)?;
-            take_inputs(id, &mut item, &inside, &mut inputs)?;
-            if let Some(values) = item.get_mut("params").and_then(Item::as_table_like_mut) {
-                let handed: Vec<String> = values
-                    .iter()
-                    .filter(|(_, item)| item.as_value().is_some_and(has_argument))
-                    .map(|(key, _)| key.to_owned())
-                    .collect();
-                for key in handed {
-                    let value = values.remove(&key).and_then(|item| item.into_value().ok());
-                    params.offer(id, &key).2 = value.map(plain);
-                }
-                for (key, item) in values.iter_mut() {
-                    let several = paths.get(&(id.to_owned(), key.get().to_owned()));
-                    if let (Some(several), Some(value)) = (several, item.as_value_mut()) {
-                        rebase(value, *several, &from_dir, &to_dir);
-                    }
-                }
-            }
-            drop_if_empty(&mut item, "params");
-            if let Some(graph) = item.get_mut("graph").and_then(Item::as_value_mut) {
-                rebase(graph, false, &from_dir, &to_dir);
-            }
+            take_inputs(id, &mut item, &inside, &mut ports.inputs)?;
+            take_params(id, &mut item, &mut ports.params, &paths, (&from_dir, &to_dir));
             moved.push((id.to_owned(), item));
         }
-        // Who reads the nodes from outside reads the part.
-        let mut redirect = |value: &mut EditValue| {
-            let Some(reference) = value.as_str().filter(|text| inside(text)).map(str::to_owned) else { return };
-            if let Some((node, port)) = reference.split_once('.') {
-                let (port, ..) = outputs.offer(node, port);
-                replace(value, &format!("{name}.{port}"));
-            }
-        };
-        edit.each_input(|entries| entries.iter_mut().for_each(|(_, item)| for_each_reference(item, &mut redirect)))?;
-        if let Some(views) = edit.document.get_mut("preset").and_then(|p| p.get_mut("views")) {
-            for_each_reference(views, &mut redirect);
-        }
-        if let Some(pinned) = edit.document.get_mut("preset").and_then(|p| p.get_mut("pinned")) {
-            super::for_each_table(pinned, |pin| {
-                let Some(value) = pin.get_mut("param").and_then(Item::as_value_mut) else { return };
-                let Some(reference) = value.as_str().filter(|text| inside(text)).map(str::to_owned) else { return };
-                if let Some((node, param)) = reference.split_once('.') {
-                    let (param, ..) = params.offer(node, param);
-                    replace(value, &format!("{name}.{param}"));
-                }
-            });
-        }
+        redirect_readers(edit, name, &inside, &mut ports)?;
         edit.each_part_target(&mut |value| {
             if let Some(port) = value.as_str().and_then(|text| text.strip_prefix("{}.")) {
                 let text = format!("{name}.{port}");
                 replace(value, &text);
             }
         });
-        part.write_part(name, &plugins, [&inputs, &outputs, &params], moved);
+        part.write_part(name, &plugins, [&ports.inputs, &ports.outputs, &ports.params], moved);
         // The part's node stands where the first of them stood.
         let mut node = Table::new();
         node.insert("graph", toml_edit::value(relative(&to_dir.join(file.file_name().unwrap_or_default()), &from_dir)));
-        for (key, ports) in [("inputs", &inputs), ("params", &params)] {
+        for (key, ports) in [("inputs", &ports.inputs), ("params", &ports.params)] {
             let given = ports.given();
             if !given.is_empty() {
                 node.insert(key, toml_edit::value(given));
@@ -278,6 +232,78 @@ impl GraphEdit {
             all.insert(&id, item);
         }
         root.insert("nodes", Item::Table(all));
+    }
+}
+
+/// Offers what the file's own `[part]` offers of nodes inside; its targets become `{}.port` until the part has its node.
+fn keep_offers(edit: &mut GraphEdit, inside: &dyn Fn(&str) -> bool, ports: &mut PartPorts) {
+    for kind in PartPortKind::ALL {
+        for port in edit.part_port_names(kind) {
+            for target in edit.part_targets(kind, &port).iter().filter(|t| inside(t)) {
+                if let Some((node, port)) = target.split_once('.') {
+                    let (name, ..) = ports.of(kind).offer(node, port);
+                    let new = format!("{{}}.{name}");
+                    edit.replace_part_target(kind, target, &[new]);
+                }
+            }
+        }
+    }
+}
+
+/// Lets inputs, views and pinned parameters that named a node inside name the part `name`.
+fn redirect_readers(
+    edit: &mut GraphEdit,
+    name: &str,
+    inside: &dyn Fn(&str) -> bool,
+    ports: &mut PartPorts,
+) -> Result<(), EditError> {
+    let redirect = |value: &mut EditValue, ports: &mut Ports| {
+        let Some(reference) = value.as_str().filter(|text| inside(text)).map(str::to_owned) else { return };
+        if let Some((node, port)) = reference.split_once('.') {
+            let (port, ..) = ports.offer(node, port);
+            replace(value, &format!("{name}.{port}"));
+        }
+    };
+    let mut to_output = |value: &mut EditValue| redirect(value, &mut ports.outputs);
+    edit.each_input(|entries| entries.iter_mut().for_each(|(_, item)| for_each_reference(item, &mut to_output)))?;
+    if let Some(views) = edit.document.get_mut("preset").and_then(|p| p.get_mut("views")) {
+        for_each_reference(views, &mut to_output);
+    }
+    if let Some(pinned) = edit.document.get_mut("preset").and_then(|p| p.get_mut("pinned")) {
+        super::for_each_table(pinned, |pin| {
+            if let Some(value) = pin.get_mut("param").and_then(Item::as_value_mut) {
+                redirect(value, &mut ports.params);
+            }
+        });
+    }
+    Ok(())
+}
+
+/// Offers the parameters of a node whose values are arguments of the graph; paths of the others are rewritten for the part's folder.
+fn take_params(
+    id: &str,
+    node: &mut Item,
+    params: &mut Ports,
+    paths: &HashMap<(String, String), bool>,
+    (from_dir, to_dir): (&Path, &Path),
+) {
+    if let Some(values) = node.get_mut("params").and_then(Item::as_table_like_mut) {
+        let is_handed = |item: &Item| item.as_value().is_some_and(has_argument);
+        let handed = values.iter().filter(|(_, item)| is_handed(item)).map(|(key, _)| key.to_owned());
+        for key in handed.collect::<Vec<_>>() {
+            let value = values.remove(&key).and_then(|item| item.into_value().ok());
+            params.offer(id, &key).2 = value.map(plain);
+        }
+        for (key, item) in values.iter_mut() {
+            let several = paths.get(&(id.to_owned(), key.get().to_owned()));
+            if let (Some(several), Some(value)) = (several, item.as_value_mut()) {
+                rebase(value, *several, from_dir, to_dir);
+            }
+        }
+    }
+    drop_if_empty(node, "params");
+    if let Some(graph) = node.get_mut("graph").and_then(Item::as_value_mut) {
+        rebase(graph, false, from_dir, to_dir);
     }
 }
 
