@@ -243,12 +243,13 @@ mod tests {
             label: format!("{label} camera"),
             camera: Some(label.to_owned()),
         };
-        let mut plan = Plan::default();
-        plan.cameras = vec![camera("Left"), camera("Right")];
-        plan.cloud = Some(Output::new("points", "cloud"));
-        plan.rig = Some(RigSource { calibration: Output::new("scope", "calibration"), noise: Noise::USUAL });
-        plan.stops = vec![Stop { node: "arm".to_owned(), reset: None }];
-        plan
+        Plan {
+            cameras: vec![camera("Left"), camera("Right")],
+            cloud: Some(Output::new("points", "cloud")),
+            rig: Some(RigSource { calibration: Output::new("scope", "calibration"), noise: Noise::USUAL }),
+            stops: vec![Stop { node: "arm".to_owned(), reset: None }],
+            ..Plan::default()
+        }
     }
 
     fn states(facts: &Facts, ages: [Option<f64>; 2], has_rig: bool, arm_fps: f64, verified: &Verified) -> Vec<State> {

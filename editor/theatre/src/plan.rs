@@ -175,7 +175,7 @@ impl Plan {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use panoscope_graph::{Catalog, Graph, GraphText, NodeType, PacketType, ParamKind, Pick, Port, check};
+    use panoscope_graph::{Catalog, GraphText, NodeType, PacketType, ParamKind, Pick, Port, check};
 
     pub(crate) fn port(text: &str) -> Port {
         let (name, packet) = text.split_once(':').unwrap();

@@ -166,6 +166,7 @@ impl Theatre {
 
     /// Cameras that send nothing.
     fn lost_cameras(&mut self, counters: &Counters, running: bool) -> Vec<LostCameras> {
+        let mut named = std::mem::take(&mut self.named_lost);
         let cameras = self.plan.cameras.iter().zip(&self.plan.camera_sources);
         let cameras = cameras.map(|(camera, source)| SilentCamera {
             output: &camera.output,
@@ -174,7 +175,6 @@ impl Theatre {
             since: self.silent(&camera.output),
             has_stopped: running && self.has_stopped(&camera.output),
         });
-        let mut named = std::mem::take(&mut self.named_lost);
         let lost = lost::cameras(&cameras.collect::<Vec<_>>(), &mut named, |node| {
             // Clocks of two machines differ: of another one's faults it is not known when they were.
             counters.faults.get(node).filter(|_| self.machine.is_none())
