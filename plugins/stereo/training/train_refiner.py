@@ -25,16 +25,16 @@ def arguments():
     return parser.parse_args()
 
 
-def loss_of(out, truth, visible, lit, near):
-    """The error, bounded where it is large, more at edges; the scale of the error; the occlusion."""
+def loss_of(out, truth, visible, lit, near, known):
+    """The error, bounded where it is large, more at edges; the scale of the error; the occlusion. Pairs of which a matcher knows little count less."""
     import torch
     from torch.nn import functional as F
 
     disparity, scale, occlusion = out
     error = torch.abs(disparity - truth)
-    weight = (0.1 + 0.9 * lit) * (1 + 1.5 * near)
+    weight = (0.1 + 0.9 * lit) * (1 + 1.5 * near) * known.mean((2, 3), keepdim=True).clamp(min=0.1)
     weight = weight / weight.mean()
-    fit = (weight * (error / (1 + error) + 0.1 * torch.clamp(error, max=40))).mean()
+    fit = (weight * (error / (1 + error) + 0.1 * torch.clamp(error, max=20))).mean()
     stated = ((0.3 + 0.7 * lit) * (error.detach() / scale + torch.log(scale))).mean()
     hidden = F.binary_cross_entropy(torch.clamp(occlusion, 1e-4, 1 - 1e-4), 1 - visible)
     return fit + 0.2 * stated + 0.2 * hidden, fit
@@ -64,7 +64,7 @@ def main():
     import cv2
     import torch
 
-    from refiner.network import Refiner
+    from refiner.network import KNOWN_ABOVE, Refiner
     from refiner.pairs import MATCHERS, Batches
 
     torch.set_num_threads(options.threads)
@@ -99,7 +99,7 @@ def main():
         for group in optimizer.param_groups:
             group["lr"] = rate
         inputs, *rest = next(batches)
-        loss, fit = loss_of(network(*inputs), *rest)
+        loss, fit = loss_of(network(*inputs), *rest, (inputs[2] > KNOWN_ABOVE).float())
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

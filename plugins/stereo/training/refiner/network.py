@@ -20,6 +20,10 @@ BLOCKS = (1, 2, 3, 4)
 HALF_PLANES = 6
 # Values that a cell's disparity is mixed from: filled, largest and smallest in the cell, largest and smallest of the cells at 1/16 around.
 CANDIDATES = 5
+# How often known values at 1/32 spread by one cell.
+SPREADS = 5
+# Columns by which known values are carried along rows, one after the other: 1023 in all.
+CARRY_STEPS = tuple(2**step for step in range(10))
 
 
 class Block(nn.Module):
@@ -64,6 +68,24 @@ def nearest_column(plane, columns):
     return torch.gather(plane, 3, index)
 
 
+def carried(value, known):
+    """Values of known pixels, carried to the right over unknown ones, and what is known after that."""
+    for step in CARRY_STEPS:
+        before, before_known = (F.pad(plane, (step, 0))[:, :, :, :-step] for plane in (value, known))
+        value = known * value + (1 - known) * before
+        known = torch.maximum(known, before_known)
+    return value, known
+
+
+def filled_rows(value, known, otherwise):
+    """Unknown pixels take the smaller of the nearest known values of their row: what is hidden lies behind. Rows that know nothing take `otherwise`."""
+    left, is_left = carried(value, known)
+    right, is_right = (torch.flip(plane, (3,)) for plane in carried(torch.flip(value, (3,)), torch.flip(known, (3,))))
+    far = torch.minimum(left + 100.0 * (1 - is_left), right + 100.0 * (1 - is_right))
+    some = torch.maximum(is_left, is_right)
+    return some * far + (1 - some) * otherwise
+
+
 def double(x):
     return F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
 
@@ -90,7 +112,7 @@ class Refiner(nn.Module):
         self.downs = nn.ModuleList([Down(c4, c8), Down(c8, c16), Down(c16, c32)])
         self.ups = nn.ModuleList([nn.Conv2d(c32, c16, 1), nn.Conv2d(c16, c8, 1), nn.Conv2d(c8, c4, 1)])
         self.backs = nn.ModuleList([nn.Sequential(Block(c16), Block(c16)), nn.Sequential(Block(c8), Block(c8)), nn.Sequential(Block(c4), Block(c4))])
-        # Of each cell of 4x4 px: weights of the candidates (5) and what is added (1); of each of its four pixels at half size: weights of the nine cells around (9), weight of the matched value (1), scale (1), occlusion (1).
+        # Of each cell of 4x4 px: weights of the candidates (5) and what is added (1); of each of its four pixels at half size: weights of the nine cells around (9), weight of the filled value (1), scale (1), occlusion (1).
         self.guess = nn.Conv2d(c16, 1, 1)
         self.cell = nn.Conv2d(c4, CANDIDATES + 1, 1)
         self.pixels = nn.Conv2d(c4, 4 * 12, 1)
@@ -105,7 +127,7 @@ class Refiner(nn.Module):
 
     def forward(self, left, right, disparity, disparity_right):
         """Views as gray 0 to 1, maps in px, all batch x 1 x rows x columns. Gives disparity, scale (of a Laplace error) in px, occlusion 0 to 1."""
-        filled, known, planes, cells, middle, spread = self.prepare(left, right, disparity, disparity_right)
+        filled, planes, cells, middle, spread = self.prepare(left, right, disparity, disparity_right)
         x = self.enter(torch.cat([F.pixel_unshuffle(left, 4) - 0.4, F.pixel_unshuffle(planes, 2), cells], 1))
         skips = []
         for level, blocks in enumerate(self.levels):
@@ -121,7 +143,7 @@ class Refiner(nn.Module):
         cell, pixels = self.cell(x), self.pixels(x)
         weights = torch.softmax(cell[:, :CANDIDATES], 1)
         refined = (weights * cells[:, :CANDIDATES]).sum(1, keepdim=True) + 0.3 * (double(double(guess)) + cell[:, CANDIDATES:])
-        return self.enlarge(refined, pixels, filled, known, middle, spread)
+        return self.enlarge(refined, pixels, filled, middle, spread)
 
     def prepare(self, left, right, disparity, disparity_right):
         """Planes at half size, values of each cell at a quarter, and the middle and spread of the disparities that normalise them."""
@@ -134,10 +156,10 @@ class Refiner(nn.Module):
         apart = torch.clamp(torch.abs(half - back), max=4.0) / 4.0
         # Middle and spread of what both views agree on, of each pair; of all that is known where they agree nowhere.
         both = half_known * ((apart < 0.5).to(left.dtype) + 0.001)
-        count = both.sum((2, 3), keepdim=True) + 1e-3
-        middle = (half * both).sum((2, 3), keepdim=True) / count
-        spread = (torch.abs(half - middle) * both).sum((2, 3), keepdim=True) / count + 2.0
-        # Unknown pixels take the value of coarser and coarser cells.
+        pixels = both.sum((2, 3), keepdim=True) + 1e-3
+        middle = (half * both).sum((2, 3), keepdim=True) / pixels
+        spread = (torch.abs(half - middle) * both).sum((2, 3), keepdim=True) / pixels + 2.0
+        # The mean of coarser and coarser cells, where they know something.
         norm = (half - middle) / spread * half_known
         norm = torch.clamp(norm, min=-8.0, max=8.0)
         quarter, share = F.avg_pool2d(norm, 2), F.avg_pool2d(half_known, 2)
@@ -145,12 +167,15 @@ class Refiner(nn.Module):
         for _ in range(3):
             sums.append(F.avg_pool2d(sums[-1], 2))
             shares.append(F.avg_pool2d(shares[-1], 2))
-        coarse = sums[-1] / (shares[-1] + 0.02)
+        total, count = sums[-1], shares[-1]
+        for _ in range(SPREADS):
+            total, count = (plane + 0.05 * F.avg_pool2d(plane, 3, 1, 1) for plane in (total, count))
+        coarse = total / (count + 1e-7)
         for level in (2, 1, 0):
             coarse = (sums[level] + 0.05 * double(coarse)) / (shares[level] + 0.05)
             middle_level = coarse if level == 2 else middle_level
         near = F.interpolate(coarse, scale_factor=2.0, mode="nearest")
-        norm = half_known * norm + (1 - half_known) * near
+        norm = filled_rows(norm, half_known, near)
         filled = middle + spread * norm
         to = column - filled
         shown = at_columns(right[:, :, ::2, :], to)
@@ -169,11 +194,11 @@ class Refiner(nn.Module):
         some = (F.max_pool2d(wide_known, 3, 1, 1) > 0).to(left.dtype)
         wide_high, wide_low = (double(double(some * plane + (1 - some) * middle_level)) for plane in (wide_high, wide_low))
         part = torch.clamp(2.0 / spread, max=1.0) + torch.zeros_like(share)
-        cells = torch.cat([coarse, high, low, wide_high, wide_low, share, part], 1)
-        return filled, half_known, planes, cells, middle, spread
+        cells = torch.cat([F.avg_pool2d(norm, 2), high, low, wide_high, wide_low, share, part], 1)
+        return filled, planes, cells, middle, spread
 
-    def enlarge(self, refined, pixels, filled, known, middle, spread):
-        """Each pixel at half size is a mean of the nine cells around, and of the matched value; then twice the size."""
+    def enlarge(self, refined, pixels, filled, middle, spread):
+        """Each pixel at half size is a mean of the nine cells around, and of its own filled value; then twice the size."""
         batch, _, rows, columns = refined.shape
         around = F.pad(refined, (1, 1, 1, 1), mode="replicate")
         total, weights = 0.0, 0.0
@@ -184,7 +209,7 @@ class Refiner(nn.Module):
             total = total + weight * around[:, :, y : y + rows, x : x + columns]
             weights = weights + weight
         mean = middle + spread * F.pixel_shuffle(total / weights, 2)
-        matched = torch.sigmoid(F.pixel_shuffle(pixels[:, 36:40], 2) + 1.0) * known
+        matched = torch.sigmoid(F.pixel_shuffle(pixels[:, 36:40], 2) + 1.0)
         disparity = matched * filled + (1 - matched) * mean
         scale = torch.exp(torch.clamp(F.pixel_shuffle(pixels[:, 40:44], 2) * 2.0, min=-3.0, max=5.0))
         occlusion = torch.sigmoid(F.pixel_shuffle(pixels[:, 44:48], 2) * 2.0 - 2.0)

@@ -67,7 +67,8 @@ impl OwnGraph {
         };
         let (node, port) = (node.to_owned(), port.to_owned());
         let made_by = nodes.get(&node).and_then(|node| type_of(node, &ready.catalog));
-        let confidence = made_by.and_then(|made_by| made_by.outputs.iter().find(|port| port.packet.name == "confidence"));
+        let confidence =
+            made_by.and_then(|made_by| made_by.outputs.iter().find(|port| port.packet.name == "confidence"));
         let confidence = confidence.map(|port| port.name.clone());
         let needed = upstream(nodes, &[&disparity], None);
         nodes.retain(|id, _| needed.contains(id));
@@ -154,7 +155,8 @@ impl OwnGraph {
         );
         let disparity = floats(packet).context("the disparity is cut off")?;
         let confidence = seen.packets.get(1).and_then(Option::as_ref).and_then(floats);
-        Ok((disparity, confidence.filter(|confidence| confidence.len() == disparity.len())))
+        let confidence = confidence.filter(|confidence| confidence.len() == disparity.len());
+        Ok((disparity, confidence))
     }
 }
 
