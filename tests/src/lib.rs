@@ -23,7 +23,7 @@ pub fn root() -> PathBuf {
 }
 
 /// The documents for users and contributors, relative to the root.
-pub const DOCUMENTS: [&str; 16] = [
+pub const DOCUMENTS: [&str; 17] = [
     "README.md",
     "core/CONTRIBUTING.md",
     "core/README.md",
@@ -38,6 +38,7 @@ pub const DOCUMENTS: [&str; 16] = [
     "editor/README.md",
     "graphs/README.md",
     "plugins/README.md",
+    "plugins/stereo/training/README.md",
     "plugins/tools/training/README.md",
     "tests/README.md",
 ];

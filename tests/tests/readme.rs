@@ -109,12 +109,19 @@ fn help_of(script: &Path) -> Option<String> {
 #[test]
 fn training_commands_of_the_documents_have_scripts_and_arguments() {
     let text = document("plugins/README.md") + &document("plugins/tools/training/README.md");
-    let folder = root().join("plugins/tools/training");
+    let commands = check_training_commands(&text, "plugins/tools/training");
+    assert!(commands >= 7, "{commands} commands");
+    let commands = check_training_commands(&document("plugins/stereo/training/README.md"), "plugins/stereo/training");
+    assert!(commands >= 3, "{commands} commands");
+}
+
+/// Checks the scripts and arguments of the commands in a text; gives their number.
+fn check_training_commands(text: &str, folder: &str) -> usize {
+    let folder = root().join(folder);
     let command = |line: &'_ str| {
         line.trim_start().strip_prefix("venv/bin/python ").or(line.strip_prefix("python3 ")).map(str::to_owned)
     };
     let commands: Vec<String> = text.lines().filter_map(command).filter(|c| !c.starts_with("-m ")).collect();
-    assert!(commands.len() >= 7, "{commands:?}");
     for command in &commands {
         let words: Vec<&str> = command.split('#').next().unwrap_or_default().split_whitespace().collect();
         let script = folder.join(words[0]);
@@ -124,6 +131,7 @@ fn training_commands_of_the_documents_have_scripts_and_arguments() {
             assert!(source.contains(&format!("\"{option}\"")), "{} takes no {option}", words[0]);
         }
     }
+    commands.len()
 }
 
 #[test]

@@ -3,12 +3,17 @@
 use std::path::Path;
 use std::process::Command;
 
-/// Runs a test module. `needs`: packages without which it is skipped. `PANOSCOPE_PYTHON` names another interpreter, such as one in a virtual
-/// environment with PyTorch.
+/// Runs a test module of this plugin's training scripts.
 fn passes(module: &str, needs: &[&str]) {
+    passes_in("training", module, needs);
+}
+
+/// Runs a test module in a folder of training scripts; `needs` are packages without which it is skipped. `PANOSCOPE_PYTHON` names another interpreter, such as one in a
+/// virtual environment with PyTorch.
+fn passes_in(folder: &str, module: &str, needs: &[&str]) {
     let program = std::env::var_os("PANOSCOPE_PYTHON").unwrap_or_else(|| "python3".into());
     let python = |arguments: &[&str]| {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("training");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
         Command::new(&program).current_dir(folder).arg("-B").args(arguments).output()
     };
     // An interpreter older than 3.11 reads no TOML.
@@ -45,4 +50,9 @@ fn networks_and_the_training_loop_pass_their_tests() {
 #[test]
 fn the_segmenter_passes_its_tests() {
     passes("test_masks", &["torch", "torchvision", "cv2", "numpy", "onnx", "onnxruntime"]);
+}
+
+#[test]
+fn the_refiner_of_disparities_passes_its_tests() {
+    passes_in("../stereo/training", "test_refiner", &["torch", "cv2", "numpy", "onnx", "onnxruntime"]);
 }

@@ -7,6 +7,7 @@ use panoscope_imaging::stereo::{BAD_PX, score_disparity};
 
 use super::chains::{self, ChainOutput};
 use super::data::Picture;
+use super::edges::edge_errors;
 use super::own_graph::OwnGraph;
 use super::picture;
 use crate::error::Result;
@@ -60,7 +61,8 @@ impl Judge<'_> {
     /// The user's graph on a pair, if there is one.
     pub fn own_graph(&self, left: &Picture, right: &Picture) -> Result<Option<ChainOutput>> {
         let Some(own) = &self.own else { return Ok(None) };
-        Ok(Some(ChainOutput { chain: "graph", disparity: own.disparity(self.session, left, right)?, confidence: None }))
+        let (disparity, confidence) = own.disparity(self.session, left, right)?;
+        Ok(Some(ChainOutput { chain: "graph", disparity, confidence }))
     }
 
     pub fn against(
@@ -81,8 +83,12 @@ impl Judge<'_> {
         self.add(format!("bad2_of_known/{case}/{chain}"), 100.0 * score.bad_of_known[1], "%", input);
         self.add(format!("density/{case}/{chain}"), 100.0 * score.density, "%", input);
         self.add(format!("mean_error/{case}/{chain}"), score.mean_error_px, "px", input);
+        let counts = |index: usize| truth.mask.as_ref().is_none_or(|mask| mask[index] != 0);
+        let (sum, count) = edge_errors(found, &truth.disparity, size.0, counts);
+        if count > 0 {
+            self.add(format!("edge_error/{case}/{chain}"), sum / count as f64, "px", input);
+        }
         if let Some(folder) = self.pictures {
-            let counts = |index: usize| truth.mask.as_ref().is_none_or(|mask| mask[index] != 0);
             picture::map(&folder.join(format!("{case}_{chain}.png")), size, found)?;
             picture::errors(&folder.join(format!("{case}_{chain}_error.png")), size, found, &truth.disparity, counts)?;
         }

@@ -2,6 +2,7 @@
 
 mod chains;
 mod data;
+mod edges;
 mod given;
 mod judge;
 mod liver;

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
-use panoscope_graph::{Catalog, GraphOptions};
+use panoscope_graph::{Catalog, GraphOptions, NodeType};
 use panoscope_host::loader::graph_file;
 use toml::{Table, Value};
 
@@ -36,6 +36,8 @@ pub struct OwnGraph {
     /// Node that is replaced.
     source: String,
     disparity: (String, String),
+    /// Port of the same node that gives its confidence.
+    confidence: Option<String>,
     work: Folder,
     pairs: Cell<usize>,
 }
@@ -64,6 +66,10 @@ impl OwnGraph {
             return Err(refuse(format!("there is no output {disparity}")));
         };
         let (node, port) = (node.to_owned(), port.to_owned());
+        let made_by = nodes.get(&node).and_then(|node| type_of(node, &ready.catalog));
+        let confidence =
+            made_by.and_then(|made_by| made_by.outputs.iter().find(|port| port.packet.name == "confidence"));
+        let confidence = confidence.map(|port| port.name.clone());
         let needed = upstream(nodes, &[&disparity], None);
         nodes.retain(|id, _| needed.contains(id));
         let sources: Vec<String> =
@@ -91,14 +97,19 @@ impl OwnGraph {
         }
         let work = Folder::new("panoscope-eval-disparity")?;
         let path = std::path::absolute(&request.path).unwrap_or_else(|_| request.path.clone());
-        Ok(Self { path, graph, source, disparity: (node, port), work, pairs: Cell::new(0) })
+        Ok(Self { path, graph, source, disparity: (node, port), confidence, work, pairs: Cell::new(0) })
     }
 
-    /// The graph's disparity of a rectified pair, in px of the left view.
+    /// The graph's disparity of a rectified pair, in px of the left view, and its confidence where the same node gives one.
     ///
     /// # Errors
     /// The run fails, or gives no disparity of the pair's size.
-    pub fn disparity(&self, session: &dyn Session, left: &Picture, right: &Picture) -> Result<Vec<f32>> {
+    pub fn disparity(
+        &self,
+        session: &dyn Session,
+        left: &Picture,
+        right: &Picture,
+    ) -> Result<(Vec<f32>, Option<Vec<f32>>)> {
         // Each pair has files of its own: nothing of an earlier one is read.
         let folder = self.work.path().join(self.pairs.replace(self.pairs.get() + 1).to_string());
         std::fs::create_dir_all(&folder).on_file(FileAction::Create, &folder)?;
@@ -119,7 +130,8 @@ impl OwnGraph {
             nodes.insert(self.source.clone(), node.into());
         }
         let (node, port) = (&self.disparity.0, &self.disparity.1);
-        let ports = [(&node[..], &port[..])];
+        let mut ports = vec![(&node[..], &port[..])];
+        ports.extend(self.confidence.iter().map(|port| (&node[..], &port[..])));
         let text = graph.to_string();
         let plan = run::Plan {
             text: &text,
@@ -141,18 +153,23 @@ impl OwnGraph {
             left.width,
             left.height
         );
-        floats(packet).context("the disparity is cut off")
+        let disparity = floats(packet).context("the disparity is cut off")?;
+        let confidence = seen.packets.get(1).and_then(Option::as_ref).and_then(floats);
+        let confidence = confidence.filter(|confidence| confidence.len() == disparity.len());
+        Ok((disparity, confidence))
     }
+}
+
+/// The type of a node of a graph.
+fn type_of<'a>(node: &Value, catalog: &'a Catalog) -> Option<&'a NodeType> {
+    let name = node.get("type").and_then(Value::as_str)?;
+    catalog.find(name).first().map(|index| &catalog.node_types[*index])
 }
 
 /// The disparity that no other node makes a disparity of; an error names all where there are several.
 fn only_disparity(nodes: &Table, catalog: &Catalog) -> std::result::Result<String, String> {
-    let type_of = |node: &Value| {
-        let name = node.get("type").and_then(Value::as_str)?;
-        catalog.find(name).first().map(|index| &catalog.node_types[*index])
-    };
     let of = |id: &str| {
-        let node_type = nodes.get(id).and_then(type_of).filter(|node_type| !node_type.source)?;
+        let node_type = nodes.get(id).and_then(|node| type_of(node, catalog)).filter(|node_type| !node_type.source)?;
         let port = node_type.outputs.iter().find(|port| port.packet.name == "disparity")?;
         Some(format!("{id}.{}", port.name))
     };

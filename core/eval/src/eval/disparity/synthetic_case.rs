@@ -6,6 +6,7 @@ use panoscope_imaging::stereo::length::{self, Errors as Errors95, Noise};
 
 use super::chains;
 use super::data::Picture;
+use super::edges::edge_errors;
 use super::judge::Judge;
 use super::picture;
 use super::synthetic::{self, Condition, SyntheticPair};
@@ -23,10 +24,14 @@ struct Errors {
     depth: f64,
     /// Pixels that the right camera does not see, and those of them that have a disparity all the same.
     hidden: [usize; 2],
+    /// Sum of the absolute errors near edges, px, and their number.
+    edges: (f64, usize),
 }
 
 impl Errors {
     fn add(&mut self, SyntheticPair([left, _]): &SyntheticPair, found: &[f32]) {
+        let (sum, count) = edge_errors(found, &left.disparity, synthetic::SIZE.0, |index| left.visible[index] != 0);
+        self.edges = (self.edges.0 + sum, self.edges.1 + count);
         for ((found, truth), visible) in found.iter().zip(&left.disparity).zip(&left.visible) {
             if *visible == 0 {
                 self.hidden[0] += 1;
@@ -60,6 +65,7 @@ impl Errors {
             ("median_error", at(0.5), "px"),
             ("p95_error", at(0.95), "px"),
             ("depth_error_pct", mean(100.0 * self.depth), "%"),
+            ("edge_error", if self.edges.1 == 0 { f64::NAN } else { self.edges.0 / self.edges.1 as f64 }, "px"),
             ("unknown", percent(missing, self.pixels), "%"),
             ("hidden_known", percent(self.hidden[1], self.hidden[0]), "%"),
         ]

@@ -1,0 +1,1 @@
+"""What the scripts that train the refiner `stereo_net` share."""
