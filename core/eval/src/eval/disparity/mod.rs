@@ -2,6 +2,7 @@
 
 mod chains;
 mod data;
+mod edges;
 mod given;
 mod judge;
 mod liver;
@@ -11,6 +12,7 @@ mod phantom;
 mod picture;
 mod rectified;
 mod sets;
+mod stated;
 mod synthetic;
 mod synthetic_case;
 #[doc(hidden)]

@@ -1,0 +1,65 @@
+//! Where depth changes in a true disparity map, so that errors there can be counted apart.
+
+/// A disparity that is further off than this is of another surface, px.
+pub const FAR_PX: f32 = 8.0;
+/// Step of disparity between neighbours from which on it is an edge, px.
+const STEP_PX: f32 = 2.0;
+/// Distance from an edge, px.
+const REACH_PX: usize = 5;
+/// A pixel is of an object when it is nearer than anything around it by this, px, within so many columns and rows.
+const OBJECT_PX: f32 = 8.0;
+const OBJECT_REACH_PX: usize = 12;
+
+/// Whether an edge of depth lies within 5 px of a pixel, along rows or columns.
+pub fn near_edges(truth: &[f32], (width, height): (usize, usize)) -> Vec<bool> {
+    let mut edges = vec![false; width * height];
+    let mut mark = |a: usize, b: usize, step: usize, room: [usize; 2]| {
+        if (truth[a] - truth[b]).abs() > STEP_PX {
+            (0..REACH_PX.min(room[0])).for_each(|i| edges[a - i * step] = true);
+            (0..REACH_PX.min(room[1])).for_each(|i| edges[b + i * step] = true);
+        }
+    };
+    for y in 0..height {
+        for x in 0..width {
+            let at = y * width + x;
+            if x + 1 < width {
+                mark(at, at + 1, 1, [x + 1, width - 1 - x]);
+            }
+            if y + 1 < height {
+                mark(at, at + width, width, [y + 1, height - 1 - y]);
+            }
+        }
+    }
+    edges
+}
+
+/// Whether a pixel is 8 px nearer than something within 12 px of it: all of a thin object, and the rim of a large one.
+pub fn near_objects(truth: &[f32], (width, height): (usize, usize)) -> Vec<bool> {
+    let around = |at: usize, count: usize| at.saturating_sub(OBJECT_REACH_PX)..(at + OBJECT_REACH_PX + 1).min(count);
+    let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::INFINITY, f32::min);
+    let rows: Vec<f32> = (0..width * height)
+        .map(|at| least(&mut around(at % width, width).map(|x| truth[at / width * width + x])))
+        .collect();
+    (0..width * height)
+        .map(|at| truth[at] > OBJECT_PX + least(&mut around(at / width, height).map(|y| rows[y * width + at % width])))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wire_is_an_object_and_its_sides_are_edges() {
+        let size = (60, 40);
+        let truth: Vec<f32> =
+            (0..size.0 * size.1).map(|i| if (30..34).contains(&(i % 60)) { 50.0 } else { 30.0 }).collect();
+        let (edges, objects) = (near_edges(&truth, size), near_objects(&truth, size));
+        for i in 0..size.0 * size.1 {
+            assert_eq!(objects[i], (30..34).contains(&(i % 60)), "{i}");
+            assert_eq!(edges[i], (25..39).contains(&(i % 60)), "{i}");
+        }
+        let slope: Vec<f32> = (0..size.0 * size.1).map(|i| 0.3 * (i % 60) as f32).collect();
+        assert!(near_edges(&slope, size).iter().all(|near| !near));
+    }
+}
