@@ -36,8 +36,8 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Distortion that is solved for: radial (k1 k2), standard (k1 k2 p1 p2), full (and k3), rational (k1 to k6),
-    /// equidistant (k1 to k4 of a fisheye).
-    #[arg(long, default_value = "standard", value_parser = ["radial", "standard", "full", "rational", "equidistant"])]
+    /// equidistant (k1 to k4 of a fisheye); auto is standard, or full or rational if these explain left-out views better.
+    #[arg(long, default_value = "auto", value_parser = ["auto", "radial", "standard", "full", "rational", "equidistant"])]
     model: String,
     /// Maximum number of pairs; default for a video, a camera or a live graph: 300.
     #[arg(long, value_parser = clap::value_parser!(u64).range(5..))]

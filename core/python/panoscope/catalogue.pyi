@@ -727,7 +727,7 @@ class NodeTypes:
         right: Input[Literal["image"]],
         *,
         board: Text = ...,
-        model: Union[Literal["radial", "standard", "full", "rational", "equidistant"], Arg] = ...,
+        model: Union[Literal["auto", "radial", "standard", "full", "rational", "equidistant"], Arg] = ...,
         method: Union[Literal["own", "sample"], Arg] = ...,
         solve_at: Whole = ...,
         min_views: Whole = ...,
@@ -742,7 +742,7 @@ class NodeTypes:
         left: Left view, not rectified.
         right: Right view of the same instant, same size.
         board: Printed pattern: chessboard:9x6:25mm (inner corners), circles:4x11:20mm (asymmetric grid), circle_grid:7x6:10mm, or charuco:19x26:5mm:4mm:4x4_250 (squares, their side, the markers' side, dictionary). (default "chessboard:9x6:25mm")
-        model: Model of the distortion. (default "standard")
+        model: Model of the distortion. (default "auto")
         method: Procedure of the calibration. (default "own")
         solve_at: Number of ticks after which the calibration is solved once; 0 solves after each accepted view. (0 to 100000 frames; default 0)
         min_views: Smallest number of views to solve with. (3 to 100 frames; default 5)
@@ -1090,6 +1090,7 @@ class NodeTypes:
         scatter_radius_px: Whole = ...,
         highlight_level: Whole = ...,
         dark_level: Whole = ...,
+        beyond_mask_px: Whole = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> DisparityFbs:
@@ -1110,7 +1111,8 @@ class NodeTypes:
         left_right_px: Largest difference to the right view's disparity that is trusted. (0 to 16 px; default 1.5)
         scatter_radius_px: Radius of the neighbourhood whose scatter lowers confidence: 5 after `stereo_bm`, 3 after `stereo_sgbm`, 0 for none. (0 to 15 px; default 5)
         highlight_level: Gray level from which a pixel is a highlight and not trusted; 256 trusts all. (1 to 256; default 250)
-        dark_level: Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all. (-1 to 255; default 4)"""
+        dark_level: Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all. (-1 to 255; default 4)
+        beyond_mask_px: Fills the map so far beyond the mask, where the picture is not black, at a width of 640 px. `rectify` ends its masks 5 px inside of the rim, and the surface goes on there. (0 to 16 px; default 0)"""
 
     def disparity_fbs_opencv(
         self,
@@ -1153,6 +1155,7 @@ class NodeTypes:
         scatter_radius_px: Whole = ...,
         highlight_level: Whole = ...,
         dark_level: Whole = ...,
+        beyond_mask_px: Whole = ...,
         scale: Whole = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
@@ -1172,6 +1175,7 @@ class NodeTypes:
         scatter_radius_px: Radius of the neighbourhood whose scatter lowers confidence: 5 after `stereo_bm`, 3 after `stereo_sgbm`, 0 for none. (0 to 15 px; default 5)
         highlight_level: Gray level from which a pixel is a highlight and not trusted; 256 trusts all. (1 to 256; default 250)
         dark_level: Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all. (-1 to 255; default 4)
+        beyond_mask_px: Fills the map so far beyond the mask, where the picture is not black, at a width of 640 px. `rectify` ends its masks 5 px inside of the rim, and the surface goes on there. (0 to 16 px; default 0)
         scale: Factor by which maps and picture are shrunk before they are filtered, for maps that were matched so: as good at a fraction of the time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560. (0 to 8; default 1)"""
 
     def disparity_wls_opencv(
@@ -1694,9 +1698,9 @@ class NodeTypes:
         kind: Kind of measurement. (default "distance")
         points: Points of the left rectified view in px: u, v, u, v, ... (default [])
         radius_px: Radius of the neighbourhood to which a surface is fitted at each point. (1 to 32 px; default 4)
-        disparity_noise_px: Standard deviation of a filtered disparity, in addition to the scatter around the point. (0 to 4 px; default 0.15)
-        disparity_offset_px: Standard deviation of the calibration's disparity offset; its reprojection error is used when larger. (0 to 4 px; default 0.05)
-        baseline_error_mm: Standard deviation of the calibration's baseline. (0 to 4 mm; default 0.05)
+        disparity_noise_px: Standard deviation of a filtered disparity on a smooth, well matched surface. Scatter around the point and lacking confidence add to it. (0 to 4 px; default 0.1)
+        disparity_offset_px: Standard deviation of the calibration's disparity offset; 0.8 of its reprojection error is used when larger. (0 to 4 px; default 0.05)
+        baseline_error_mm: Standard deviation of the calibration's baseline. (0 to 4 mm; default 0.02)
         focal_error_percent: Standard deviation of the calibration's focal length. (0 to 10 %; default 0.1)"""
 
     def mosaic(

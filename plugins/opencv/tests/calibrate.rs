@@ -137,6 +137,34 @@ fn known_cameras_are_found() {
 }
 
 #[test]
+fn boards_in_the_dark_are_found_where_the_samples_detector_finds_none() {
+    // As noisy as a camera at its highest gain.
+    let noisy = |picture: Vec<u8>, seed: u64| -> Vec<u8> {
+        let noise = |i: usize| 300.0 * (panoscope_node::random::lattice(i as i64, 1, seed) - 0.5);
+        picture.iter().enumerate().map(|(i, value)| (f64::from(*value) + noise(i)).clamp(0.0, 255.0) as u8).collect()
+    };
+    let mut seed = 0;
+    let mut views = POSES[..5].iter().map(|pose| {
+        pair(*pose).map(|view| {
+            seed += 1;
+            noisy(view, seed)
+        })
+    });
+    let mut node = open("model = \"radial\", solve_at = 5");
+    let first = views.next().expect("a view");
+    let mut out = show(&mut node, [&first[0], &first[1]]);
+    for [left, right] in views {
+        out = show(&mut node, [&left, &right]);
+    }
+    assert!(states(&out).iter().all(|state| *state == ViewState::Used), "{:?}", states(&out));
+    let found: Calibration = out.value("calibration").unwrap();
+    assert!((found.baseline_mm - BASELINE_MM).abs() < 2.0 && found.rms_px < 1.0, "{found:?}");
+    // The detector of the sample takes its time: one view is enough.
+    let out = show(&mut open("model = \"radial\", method = \"sample\""), [&first[0], &first[1]]);
+    assert_ne!(states(&out), [ViewState::Used]);
+}
+
+#[test]
 fn a_known_pair_of_fisheyes_is_found() {
     // A view of 105 degrees across.
     const FISHEYE_PX: f64 = 220.0;

@@ -1,5 +1,7 @@
 //! `disparity_wls` and `disparity_fbs`: smooth, edge-true disparity maps (thesis, fig. 3.7).
 
+use std::ops::Range;
+
 use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams,
@@ -108,6 +110,10 @@ struct TrustParams {
     /// Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all.
     #[param(default = 4, range = -1..=255)]
     dark_level: i32,
+    /// Fills the map so far beyond the mask, where the picture is not black, at a width of 640 px. `rectify` ends its masks 5 px inside
+    /// of the rim, and the surface goes on there.
+    #[param(default = 0, range = 0..=16, unit = "px")]
+    beyond_mask_px: usize,
 }
 
 impl TrustParams {
@@ -124,7 +130,13 @@ impl TrustParams {
 }
 
 /// Runs a filter on one tick's inputs into the outputs that are read.
-fn filter<'f>(input: &In<'f>, out: &mut Out<'_>, run: impl FnOnce(Job<'f, '_>) -> Result<()>) -> Result<()> {
+fn filter<'f>(
+    input: &In<'f>,
+    out: &mut Out<'_>,
+    trust: &TrustParams,
+    lit: &mut Vec<Range<usize>>,
+    run: impl FnOnce(Job<'f, '_>) -> Result<()>,
+) -> Result<()> {
     let given = filter_input(input)?;
     let (width, height) = (given.disparity.width, given.disparity.height);
     let confidence_is_read = out.confidence.is_read();
@@ -132,9 +144,11 @@ fn filter<'f>(input: &In<'f>, out: &mut Out<'_>, run: impl FnOnce(Job<'f, '_>) -
     let mut confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
     run(Job { given, disparity: again(&mut disparity), confidence: confidence.as_mut().map(again) })?;
     if let Some(mask) = &input.mask {
-        clear(&mut disparity, mask.view(), f32::NAN);
+        let beyond_px = (trust.beyond_mask_px * width).div_ceil(640);
+        let beyond = Beyond { guide: given.guide, mask: mask.view(), dark_level: trust.dark_level, px: beyond_px };
+        beyond.clear(lit, &mut disparity, f32::NAN);
         if let Some(confidence) = &mut confidence {
-            clear(confidence, mask.view(), 0.0);
+            beyond.clear(lit, confidence, 0.0);
         }
     }
     Ok(())
@@ -145,11 +159,40 @@ fn again<'a>(map: &'a mut ViewMut<'_, f32>) -> ViewMut<'a, f32> {
     ViewMut { data: &mut *map.data, ..*map }
 }
 
-/// Sets what the mask does not show to `value`.
-fn clear(map: &mut ViewMut<'_, f32>, mask: View<'_, u8>, value: f32) {
-    for y in 0..map.height {
-        for (out, mask) in map.row_mut(y).iter_mut().zip(mask.row(y)) {
-            *out = if *mask == 0 { value } else { *out };
+/// What a filter may fill: the mask, and a strip around it where the picture is not black.
+struct Beyond<'f> {
+    guide: View<'f, u8>,
+    mask: View<'f, u8>,
+    dark_level: i32,
+    /// Width of the strip.
+    px: usize,
+}
+
+impl Beyond<'_> {
+    /// Sets the rest of `map` to `value`. `lit` is reused.
+    fn clear(&self, lit: &mut Vec<Range<usize>>, map: &mut ViewMut<'_, f32>, value: f32) {
+        lit.clear();
+        lit.extend((0..map.height).map(|y| {
+            let row = self.mask.row(y);
+            let first = row.iter().position(|mask| *mask != 0).unwrap_or(row.len());
+            first..row.iter().rposition(|mask| *mask != 0).map_or(first, |last| last + 1)
+        }));
+        let channels = self.guide.channels;
+        for y in 0..map.height {
+            let near = &lit[y.saturating_sub(self.px)..(y + self.px + 1).min(map.height)];
+            let near = near.iter().filter(|row| !row.is_empty());
+            let (start, end) = near.fold((map.width, 0), |(start, end), row| (start.min(row.start), end.max(row.end)));
+            let strip = start.saturating_sub(self.px)..(end + self.px).min(map.width);
+            let (mask, guide) = (self.mask.row(y), self.guide.row(y));
+            let is_filled = |x: usize| {
+                let is_near = self.px > 0 && strip.contains(&x) && !lit[y].contains(&x);
+                is_near && guide[x * channels..(x + 1) * channels].iter().any(|v| i32::from(*v) > self.dark_level)
+            };
+            for (x, (out, mask)) in map.row_mut(y).iter_mut().zip(mask).enumerate() {
+                if *mask == 0 && !is_filled(x) {
+                    *out = value;
+                }
+            }
         }
     }
 }
@@ -204,6 +247,8 @@ impl DisparityWlsParams {
 pub struct DisparityWls {
     kernel: WlsFilter,
     coarse: Coarse,
+    /// Columns of the mask in each row.
+    lit: Vec<Range<usize>>,
 }
 
 impl Node for DisparityWls {
@@ -221,7 +266,7 @@ impl Node for DisparityWls {
     }
 
     fn open(_: &Open<'_>, params: &DisparityWlsParams) -> Result<Self> {
-        Ok(Self { kernel: WlsFilter::new(params.kernel(1))?, coarse: Coarse::default() })
+        Ok(Self { kernel: WlsFilter::new(params.kernel(1))?, coarse: Coarse::default(), lit: Vec::new() })
     }
 
     fn process<'f>(
@@ -237,7 +282,7 @@ impl Node for DisparityWls {
             self.kernel.set_params(wanted)?;
         }
         let (kernel, coarse) = (&mut self.kernel, &mut self.coarse);
-        filter(&input, &mut out, |job| {
+        filter(&input, &mut out, &params.trust, &mut self.lit, |job| {
             coarse.run(factor, job, cx.pool(), |job| {
                 Ok(kernel.compute(job.given, cx.pool(), job.disparity, job.confidence)?)
             })
@@ -291,6 +336,8 @@ impl DisparityFbsParams {
 /// Fast bilateral solver.
 pub struct DisparityFbs {
     kernel: BilateralSolver,
+    /// Columns of the mask in each row.
+    lit: Vec<Range<usize>>,
 }
 
 impl Node for DisparityFbs {
@@ -308,7 +355,7 @@ impl Node for DisparityFbs {
     }
 
     fn open(_: &Open<'_>, params: &DisparityFbsParams) -> Result<Self> {
-        Ok(Self { kernel: BilateralSolver::new(params.kernel())? })
+        Ok(Self { kernel: BilateralSolver::new(params.kernel())?, lit: Vec::new() })
     }
 
     fn process<'f>(
@@ -322,8 +369,9 @@ impl Node for DisparityFbs {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted)?;
         }
-        filter(&input, &mut out, |job| {
-            Ok(self.kernel.compute(job.given, cx.pool(), job.disparity, job.confidence)?)
+        let kernel = &mut self.kernel;
+        filter(&input, &mut out, &params.trust, &mut self.lit, |job| {
+            Ok(kernel.compute(job.given, cx.pool(), job.disparity, job.confidence)?)
         })?;
         cx.metric("solver_steps", self.kernel.steps() as f64);
         cx.metric("grid_vertices", self.kernel.vertices() as f64);

@@ -172,3 +172,32 @@ fn a_filter_does_not_fill_the_rim() -> TestResult {
     }
     Ok(())
 }
+
+#[test]
+fn a_filter_continues_the_surface_up_to_the_black_of_the_rim() -> TestResult {
+    // The mask ends 5 px inside of a rim that is black up to column 107.
+    let image: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| if i % SIZE.0 < 107 { 0 } else { 120 }).collect();
+    let mask: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| if i % SIZE.0 >= 112 { 255 } else { 0 }).collect();
+    let mut map = vec![f32::NAN; SIZE.0 * SIZE.1];
+    for y in 0..SIZE.1 {
+        map[y * SIZE.0 + 115..y * SIZE.0 + 220].fill(SURFACE_PX);
+    }
+    // Views of 320 px have half of the strip.
+    for (beyond_px, first) in [(0, 112), (5, 109), (16, 107)] {
+        let mut node = Harness::<DisparityWls>::from_toml(&format!("params = {{ beyond_mask_px = {beyond_px} }}"))?;
+        let out = node
+            .input_image::<Gray8>("image", SIZE.0, SIZE.1, &image)
+            .input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map)
+            .input_image::<Mask>("mask", SIZE.0, SIZE.1, &mask)
+            .process()?;
+        for port in [
+            out.plane::<Disparity>("disparity")?.row(64),
+            out.plane::<panoscope_node::Confidence>("confidence")?.row(64),
+        ] {
+            assert_eq!(port.iter().position(|v| *v > 0.0), Some(first), "{beyond_px} px beyond the mask");
+        }
+        let row = out.plane::<Disparity>("disparity")?.row(64);
+        assert!(row[first..150].iter().all(|d| (d - SURFACE_PX).abs() < 0.1), "{:?}", &row[first..120]);
+    }
+    Ok(())
+}

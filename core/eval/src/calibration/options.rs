@@ -18,7 +18,7 @@ pub struct Options {
     /// charuco:19x26:5mm:4mm:4x4_250 (squares, square, marker, dictionary).
     pub board: Board,
     /// Distortion that is solved for: radial (k1 k2), standard (k1 k2 p1 p2), full (and k3), rational (k1 to k6), equidistant (k1 to k4
-    /// of a fisheye).
+    /// of a fisheye); auto is standard, or full or rational where these explain views left out better.
     pub model: String,
     /// Pairs that are looked at; of a video, a camera or a live graph 300 unless given.
     pub frames: Option<u64>,
@@ -36,7 +36,7 @@ impl Options {
             right: right.to_owned(),
             graph: None,
             board,
-            model: "standard".into(),
+            model: "auto".into(),
             frames: None,
             keep_all: false,
             method: "own".into(),

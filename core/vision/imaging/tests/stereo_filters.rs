@@ -150,6 +150,63 @@ fn contradicted_and_glaring_pixels_are_not_trusted() {
     assert!(glare.is_nan() || (glare - 20.0).abs() < 0.05, "glare: {glare}");
 }
 
+/// Far tissue with a box and a wire of 5 px before it: disparity and gray level.
+fn objects(x: usize, y: usize) -> (f32, u8) {
+    match (x, y) {
+        (200..240, 100..130) => (70.0, 150),
+        (_, 20..220) if (150 + y / 8..155 + y / 8).contains(&x) => (50.0, 40),
+        _ => (30.0, 90),
+    }
+}
+
+#[test]
+fn objects_on_which_both_views_agree_keep_their_disparities() {
+    let (width, height) = (320, 240);
+    let noise = |i: usize| (hash(i as i64, 4) % 5) as u8;
+    let guide: Vec<u8> = (0..width * height).map(|i| objects(i % width, i / width).1 + noise(i)).collect();
+    let mut disparity: Vec<f32> = (0..width * height).map(|i| objects(i % width, i / width).0).collect();
+    // The match reaches 3 px over the right side of the box; both views agree on that too.
+    (100..130).for_each(|y| disparity[y * width + 240..][..3].fill(70.0));
+    let mut right = vec![f32::NAN; width * height];
+    for (i, d) in disparity.iter().enumerate() {
+        let to = (i % width).checked_sub(*d as usize).map(|x| i / width * width + x);
+        // The nearest surface hides the others.
+        if let Some(other) = to.map(|to| &mut right[to]) {
+            *other = other.max(*d);
+        }
+    }
+    // A patch that the right view contradicts, and specks on which both agree.
+    (40..60).for_each(|y| disparity[y * width + 270..][..20].fill(50.0));
+    for at in [(100, 60), (90, 160), (300, 200)] {
+        for i in 0..4 {
+            let (x, y) = (at.0 + i % 2, at.1 + i / 2);
+            (disparity[y * width + x], right[y * width + x - 45]) = (45.0, 45.0);
+        }
+    }
+    for mut filter in filters() {
+        let mut input = input(gray(&guide, width, height), plane(&disparity, width, height));
+        input.disparity_right = Some(plane(&right, width, height));
+        let (map, confidence) = filter.run(input, &Serial);
+        let share = |counts: &dyn Fn(usize, usize) -> bool, truth: f32| {
+            let all: Vec<usize> = (0..width * height).filter(|i| counts(i % width, i / width)).collect();
+            let good = all.iter().filter(|i| (map[**i] - truth).abs() < 1.5).count();
+            good as f64 / all.len() as f64
+        };
+        let is_wire = |x: usize, y: usize| objects(x, y).0 == 50.0;
+        assert!(share(&is_wire, 50.0) > 0.98, "the wire: {}", share(&is_wire, 50.0));
+        let is_box = |x: usize, y: usize| objects(x, y).0 == 70.0;
+        assert!(share(&is_box, 70.0) > 0.95, "the box: {}", share(&is_box, 70.0));
+        for (i, value) in confidence.iter().enumerate().filter(|(i, _)| is_wire(i % width, i / width)) {
+            assert!(*value >= 0.05, "confidence {value} at {i}");
+        }
+        let reach = share(&|x, y| (240..243).contains(&x) && (103..127).contains(&y), 30.0);
+        assert!(reach > 0.9 || matches!(filter, Filter::Solver(_)), "reach over the edge: {reach}");
+        let contradicted = share(&|x, y| (270..290).contains(&x) && (40..60).contains(&y), 50.0);
+        assert_eq!(contradicted, 0.0, "of the patch that the right view contradicts");
+        assert!((map[60 * width + 100] - 30.0).abs() < 1.5, "a speck: {}", map[60 * width + 100]);
+    }
+}
+
 #[test]
 fn portable_and_simd_and_any_number_of_threads_agree() {
     for (width, height) in [(131, 117), (8, 40), (300, 33), (64, 200)] {

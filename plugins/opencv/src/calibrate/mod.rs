@@ -7,6 +7,7 @@ mod detect;
 mod draw;
 mod fisheye;
 mod neighbours;
+mod order;
 mod solution;
 mod solve;
 
@@ -59,7 +60,7 @@ pub struct CalibrateParams {
     #[param(default = "chessboard:9x6:25mm", reopen)]
     board: String,
     /// Model of the distortion.
-    #[param(default = "standard", reopen)]
+    #[param(default = "auto", reopen)]
     model: Model,
     /// Procedure of the calibration.
     #[param(default = "own", reopen)]
@@ -120,6 +121,8 @@ pub struct CalibrateStereo {
     places_mm: Vec<[f64; 2]>,
     detector: Detector,
     procedure: Procedure,
+    /// What `auto` has chosen, and from how many views.
+    chosen: Option<(usize, Model)>,
     seen: Vec<BoardView>,
     size: Option<(usize, usize)>,
     /// Index and pictures of the view with the largest board.
@@ -167,6 +170,7 @@ impl Node for CalibrateStereo {
             places_mm,
             detector,
             procedure,
+            chosen: None,
             seen: Vec::new(),
             size: None,
             largest: None,
@@ -282,12 +286,63 @@ impl CalibrateStereo {
         })
     }
 
-    /// Solves with all views in use. Skips outliers one by one, at most a third of all.
+    /// Solves with all views in use, with the distortion that they determine where that is to be found. Skips outliers one by one, at most a third of all.
     fn solve(&mut self, cx: &Context<'_>, params: &CalibrateParams) -> bool {
         let Some(size) = self.size else {
             cx.warn("there is no view to calibrate from");
             return false;
         };
+        let is_auto = self.procedure == Procedure::Own(Model::Auto);
+        let first = match self.chosen {
+            Some((_, model)) if is_auto => Procedure::Own(model),
+            _ => self.procedure,
+        };
+        let Some(mut solved) = self.solve_by(cx, params, size, first) else { return false };
+        if is_auto
+            && let Some(model) = self.choose(cx, &solved.0, size)
+            && first != Procedure::Own(model)
+        {
+            let Some(better) = self.solve_by(cx, params, size, Procedure::Own(model)) else { return false };
+            solved = better;
+        }
+        cx.metric("reproj_px", solved.1.calibration.rms_px);
+        self.solution = Some(solved);
+        true
+    }
+
+    /// Chooses the model of the distortion, once there are clearly more views than at the last choice.
+    fn choose(&mut self, cx: &Context<'_>, used: &[usize], size: (usize, usize)) -> Option<Model> {
+        if self.chosen.is_some_and(|(views, _)| 4 * used.len() < 5 * views) {
+            return None;
+        }
+        let pairs: Vec<&Pair> = used.iter().map(|index| &self.seen[*index].pair).collect();
+        match order::choose(&pairs, size) {
+            Ok(choice) => {
+                let choice = choice?;
+                self.chosen = Some((used.len(), choice.model));
+                cx.info(&format!(
+                    "distortion `{}`: an error of {:.3} px in views left out, with `standard` {:.3} px",
+                    format!("{:?}", choice.model).to_lowercase(),
+                    choice.error_px,
+                    choice.plain_px
+                ));
+                Some(choice.model)
+            }
+            Err(error) => {
+                cx.warn(&format!("the distortion stays `standard`: OpenCV: {}", error.message));
+                None
+            }
+        }
+    }
+
+    /// Views in use, and the solution by one procedure.
+    fn solve_by(
+        &mut self,
+        cx: &Context<'_>,
+        params: &CalibrateParams,
+        size: (usize, usize),
+        procedure: Procedure,
+    ) -> Option<(Vec<usize>, Solution)> {
         // What stood out before may be explained now.
         for seen in self.seen.iter_mut().filter(|seen| seen.state == ViewState::LargeError) {
             seen.state = ViewState::Used;
@@ -306,23 +361,19 @@ impl CalibrateStereo {
                         params.min_views
                     ));
                 }
-                return false;
+                return None;
             }
             let pairs: Vec<&Pair> = used.iter().map(|index| &self.seen[*index].pair).collect();
-            let solution = match solve(&pairs, size, self.procedure) {
+            let solution = match solve(&pairs, size, procedure) {
                 Ok(solution) => solution,
                 Err(why) => {
                     cx.warn(&format!("{} views give no calibration: {why}", used.len()));
-                    return false;
+                    return None;
                 }
             };
             let worst = standing_out(&solution.errors_px)
-                .filter(|_| params.reject && self.procedure != Procedure::Sample && skipped < max_skipped);
-            let Some(worst) = worst else {
-                cx.metric("reproj_px", solution.calibration.rms_px);
-                self.solution = Some((used, solution));
-                return true;
-            };
+                .filter(|_| params.reject && procedure != Procedure::Sample && skipped < max_skipped);
+            let Some(worst) = worst else { return Some((used, solution)) };
             let index = used.remove(worst);
             let [a, b] = solution.errors_px[worst];
             self.seen[index].state = ViewState::LargeError;

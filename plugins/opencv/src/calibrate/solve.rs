@@ -18,6 +18,8 @@ use super::solution::{Found, Pair, Solution, Unsolved};
 /// Model of the distortion.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 pub enum Model {
+    /// `standard`, `full` or `rational`: the one with the fewest coefficients that no other one betters on views left out.
+    Auto,
     /// k1, k2.
     Radial,
     /// k1, k2, p1, p2.
@@ -34,7 +36,8 @@ impl Model {
     fn flags(self) -> i32 {
         match self {
             Self::Radial => CALIB_FIX_K3 | CALIB_ZERO_TANGENT_DIST,
-            Self::Standard => CALIB_FIX_K3,
+            // `Auto` as long as nothing speaks for more.
+            Self::Standard | Self::Auto => CALIB_FIX_K3,
             Self::Full => 0,
             Self::Rational => CALIB_RATIONAL_MODEL,
             // Not OpenCV's to solve for.
@@ -58,6 +61,43 @@ fn cells<const N: usize>(mat: &Mat) -> opencv::Result<[f64; N]> {
     let count = all.len().min(N);
     out[..count].copy_from_slice(&all[..count]);
     Ok(out)
+}
+
+/// Where OpenCV's solvers stop.
+pub fn criteria(count: i32, eps: f64) -> opencv::Result<TermCriteria> {
+    TermCriteria::new(TermCriteria_COUNT | TermCriteria_EPS, count, eps)
+}
+
+/// Matrix and distortion of the camera of one side.
+///
+/// # Errors
+/// OpenCV cannot solve for it.
+pub fn camera_of(
+    pairs: &[&Pair],
+    side: usize,
+    size: (usize, usize),
+    model: Model,
+    end: TermCriteria,
+) -> opencv::Result<(Mat, Mat)> {
+    let (object, seen) = (objects(pairs), points_of(pairs, side));
+    let (mut k, mut d) = (Mat::default(), Mat::default());
+    let (mut turns, mut moves) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+    let size = Size::new(size.0 as i32, size.1 as i32);
+    calib3d::calibrate_camera(&object, &seen, size, &mut k, &mut d, &mut turns, &mut moves, model.flags(), end)?;
+    Ok((k, d))
+}
+
+/// Points of a board in its own frame, mm.
+pub fn object_of(pair: &Pair) -> Vector<Point3f> {
+    pair.board_mm.iter().map(|p| Point3f::new(p[0] as f32, p[1] as f32, 0.0)).collect()
+}
+
+fn objects(pairs: &[&Pair]) -> Vector<Vector<Point3f>> {
+    pairs.iter().map(|pair| object_of(pair)).collect()
+}
+
+fn points_of(pairs: &[&Pair], side: usize) -> Vector<Vector<Point2f>> {
+    pairs.iter().map(|pair| pair.px[side].iter().map(|p| Point2f::new(p[0], p[1])).collect()).collect()
 }
 
 fn camera(size: Size, k: &Mat, d: &Mat) -> opencv::Result<Camera> {
@@ -102,18 +142,11 @@ pub fn solve(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> Res
     Ok(Solution { calibration, errors_px: found.errors_px, epipolar_px })
 }
 
-fn by_opencv(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> opencv::Result<Found> {
-    let size = Size::new(size.0 as i32, size.1 as i32);
-    let places = |pair: &&Pair| -> Vector<Point3f> {
-        pair.board_mm.iter().map(|p| Point3f::new(p[0] as f32, p[1] as f32, 0.0)).collect()
-    };
-    let object: Vector<Vector<Point3f>> = pairs.iter().map(places).collect();
-    let seen = [0, 1].map(|side| -> Vector<Vector<Point2f>> {
-        pairs.iter().map(|pair| pair.px[side].iter().map(|p| Point2f::new(p[0], p[1])).collect()).collect()
-    });
-    let criteria = |count, eps| TermCriteria::new(TermCriteria_COUNT | TermCriteria_EPS, count, eps);
-    let mut k = [Mat::default(), Mat::default()];
-    let mut d = [Mat::default(), Mat::default()];
+fn by_opencv(pairs: &[&Pair], view: (usize, usize), procedure: Procedure) -> opencv::Result<Found> {
+    let size = Size::new(view.0 as i32, view.1 as i32);
+    let object = objects(pairs);
+    let seen = [0, 1].map(|side| points_of(pairs, side));
+    let (mut k, mut d) = ([Mat::default(), Mat::default()], [Mat::default(), Mat::default()]);
     let (flags, end) = match procedure {
         Procedure::Sample => {
             for side in 0..2 {
@@ -131,19 +164,9 @@ fn by_opencv(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> ope
         }
         Procedure::Own(model) => {
             for side in 0..2 {
-                let (mut turns, mut moves) = (Vector::<Mat>::new(), Vector::<Mat>::new());
-                calib3d::calibrate_camera(
-                    &object,
-                    &seen[side],
-                    size,
-                    &mut k[side],
-                    &mut d[side],
-                    &mut turns,
-                    &mut moves,
-                    model.flags(),
-                    criteria(60, 1e-9)?,
-                )?;
+                (k[side], d[side]) = camera_of(pairs, side, view, model, criteria(60, 1e-9)?)?;
             }
+            // Lenses, the pose between the cameras and those of the boards once more, all together.
             (model.flags() | CALIB_USE_INTRINSIC_GUESS, criteria(100, 1e-9)?)
         }
     };

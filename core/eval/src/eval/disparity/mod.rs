@@ -12,6 +12,7 @@ mod phantom;
 mod picture;
 mod rectified;
 mod sets;
+mod stated;
 mod synthetic;
 mod synthetic_case;
 #[doc(hidden)]

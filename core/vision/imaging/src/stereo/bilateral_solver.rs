@@ -10,7 +10,8 @@ use crate::stereo::bilateral_grid::{BilateralGrid, MAX_SIGMA_XY};
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::grid_solver::GridSolver;
-use crate::stereo::matching::fill_nan;
+use crate::stereo::kept_regions::KeptRegions;
+use crate::stereo::matching::{again, fill_nan};
 use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::wls::FilterInput;
@@ -97,6 +98,7 @@ pub struct BilateralSolver {
     confidence: Vec<f32>,
     scratch: Scratch,
     work: GridSolver,
+    kept: KeptRegions,
     /// Solution of the last call, by dense cell; NaN where there was no vertex.
     last: Vec<f32>,
     /// Value, and 1 or 0 where it is known or not, of each dense cell.
@@ -120,6 +122,7 @@ impl BilateralSolver {
             confidence: Vec::new(),
             scratch: Scratch::default(),
             work: GridSolver::default(),
+            kept: KeptRegions::default(),
             last: Vec::new(),
             reach: Vec::new(),
             last_shape: Default::default(),
@@ -214,7 +217,10 @@ impl BilateralSolver {
         self.work.spread_support(&self.grid, solver_pool);
 
         self.last_shape = (roi, self.grid.cells);
-        self.read_back(roi, pool, disparity, confidence);
+        self.read_back(roi, pool, again(&mut disparity), confidence.as_mut().map(again));
+        let trust = &self.params.confidence;
+        let edge_px = trust.scatter_radius_px + self.params.sigma_xy_px;
+        self.kept.restore(&input, trust, edge_px, pool, &mut disparity, confidence.as_mut());
         Ok(())
     }
 

@@ -329,3 +329,14 @@ pub(crate) fn fill_nan(map: &mut ViewMut<'_, f32>, pool: &dyn Parallel) {
         }
     });
 }
+
+/// The same view, for one call.
+pub(crate) fn again<'a>(view: &'a mut ViewMut<'_, f32>) -> ViewMut<'a, f32> {
+    ViewMut {
+        data: &mut *view.data,
+        width: view.width,
+        height: view.height,
+        stride: view.stride,
+        channels: view.channels,
+    }
+}

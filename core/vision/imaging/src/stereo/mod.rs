@@ -18,6 +18,7 @@ pub mod evaluate;
 pub mod formats;
 mod grid_solver;
 mod guide_weights;
+mod kept_regions;
 pub mod length;
 pub mod lens;
 mod lit_pair;

@@ -2,6 +2,7 @@
 
 use super::border_strip::BorderStrip;
 use super::lit_pair::LitPair;
+use super::matching::again;
 use super::search::{Search, SearchParams};
 use super::tile::{Tile, project_right};
 use super::{BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams};
@@ -224,15 +225,4 @@ impl PairMatcher {
 /// Sets a map to unknown.
 fn clear(map: &mut ViewMut<'_, f32>) {
     (0..map.height).for_each(|y| map.row_mut(y).fill(f32::NAN));
-}
-
-/// The same view, for one call.
-fn again<'a>(view: &'a mut ViewMut<'_, f32>) -> ViewMut<'a, f32> {
-    ViewMut {
-        data: &mut *view.data,
-        width: view.width,
-        height: view.height,
-        stride: view.stride,
-        channels: view.channels,
-    }
 }

@@ -4,11 +4,12 @@
 //! pixels take their value from trusted ones without an image edge in between. The two-dimensional
 //! system is replaced by alternating exact solves along rows and columns, with a strength that falls
 //! fourfold from one round to the next (Min et al., "Fast global image smoothing based on weighted
-//! least squares", 2014).
+//! least squares", 2014). Objects on which both views agree keep their disparities, however thin they are.
 
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::guide_weights::weights_row;
+use crate::stereo::kept_regions::{EDGE_PX, KeptRegions};
 use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
@@ -131,6 +132,7 @@ pub struct WlsFilter {
     product: Vec<f32>,
     support: Vec<f32>,
     scratch: Scratch,
+    kept: KeptRegions,
     avx2: bool,
 }
 
@@ -149,6 +151,7 @@ impl WlsFilter {
             product: Vec::new(),
             support: Vec::new(),
             scratch: Scratch::default(),
+            kept: KeptRegions::default(),
             avx2: Simd::detect().avx2(),
         })
     }
@@ -176,7 +179,7 @@ impl WlsFilter {
     /// Smooths `input.disparity`.
     ///
     /// `disparity` receives px, NaN where no trusted pixel is near, where the right view ends, and outside the ROI; `confidence`,
-    /// when asked for, the smoothed confidence 0..=1, 0 outside.
+    /// when asked for, the smoothed confidence 0..=1, 0 outside, and at least 0.5 on objects that keep their disparities.
     ///
     /// # Errors
     /// When sizes or channel counts do not agree.
@@ -221,9 +224,9 @@ impl WlsFilter {
             vertical(&mut planes, &self.down, strength, &mut self.scratch, self.avx2, pool);
         }
 
-        let (stride, out) = (disparity.stride, SharedMut::new(disparity.data));
-        let (stride_confidence, out_confidence) = match confidence {
-            Some(map) => (map.stride, Some(SharedMut::new(map.data))),
+        let (stride, out) = (disparity.stride, SharedMut::new(&mut *disparity.data));
+        let (stride_confidence, out_confidence) = match &mut confidence {
+            Some(map) => (map.stride, Some(SharedMut::new(&mut *map.data))),
             None => (0, None),
         };
         let least = self.params.min_support.max(1e-6);
@@ -244,6 +247,9 @@ impl WlsFilter {
                 unsafe { map.part(y * stride_confidence + roi.x, roi.width) }.copy_from_slice(support);
             }
         });
+        let trust = &self.params.confidence;
+        let edge_px = trust.scatter_radius_px + EDGE_PX;
+        self.kept.restore(&input, trust, edge_px, pool, &mut disparity, confidence.as_mut());
         Ok(())
     }
 
