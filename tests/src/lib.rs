@@ -81,6 +81,14 @@ pub fn run_python_class(file: &str, class: &str) {
     run_python(file, &[class], "");
 }
 
+/// As [`run_python_class`], of a class that imports packages.
+///
+/// # Panics
+/// When a test fails, or there is no such class.
+pub fn run_python_class_with(file: &str, class: &str, modules: &str) {
+    run_python(file, &[class], modules);
+}
+
 fn run_python(file: &str, classes: &[&str], modules: &str) {
     if !has_python() {
         return;

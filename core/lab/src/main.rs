@@ -1,5 +1,6 @@
 //! The commands that `panoscope` hands to this program, so that a build which only runs graphs needs none of their crates.
 
+mod batch;
 mod bench;
 mod calibrate;
 mod dicom;
@@ -29,7 +30,9 @@ enum Command {
     Export(export::Arguments),
     Import(import::Arguments),
     Sweep(sweep::Arguments),
+    Batch(batch::Arguments),
     Report(report::Arguments),
+    Worst(batch::WorstArguments),
     Tune(tune::Arguments),
     Soak(soak::Arguments),
     #[command(subcommand)]
@@ -61,6 +64,8 @@ fn main() {
         Command::Export(arguments) => export::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Sweep(arguments) => sweep::run(&arguments),
+        Command::Batch(arguments) => batch::run(&batch::Request::Batch(&arguments)),
+        Command::Worst(arguments) => batch::run(&batch::Request::Worst(&arguments)),
         Command::Report(arguments) => report::run(&arguments),
         Command::Tune(arguments) => tune::run(&arguments),
         Command::Soak(arguments) => soak::run(&arguments),

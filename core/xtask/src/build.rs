@@ -34,7 +34,9 @@ const NATIVE: &str = "_native.abi3.so";
 /// What the program is not complete without, beside the plugins.
 const PRODUCT: [&str; 5] = [PROGRAM_PACKAGE, LAB, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
 /// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
-pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
+const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
+/// The package itself and those inside of it.
+const PACKAGE_FOLDERS: [&str; 2] = [".", "studies"];
 /// Arguments for cargo that unite the features of external packages, so that every build uses the same ones.
 pub const FEATURES: [&str; 4] = ["--package", "panoscope-features", REST[0], REST[1]];
 /// The same where the whole workspace is built.
@@ -254,7 +256,7 @@ impl Artifacts {
         let folder = workspace.root.join(PYTHON);
         let native =
             self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} makes no shared library"))?;
-        place_files(&folder.join("panoscope"), package, &PACKAGE_FILES, Means::Link)?;
+        place_python(&folder.join("panoscope"), package, Means::Link)?;
         place(native, &package.join(NATIVE), Means::Link)
     }
 
@@ -347,6 +349,13 @@ pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Re
         }
     }
     Ok(())
+}
+
+/// Puts the files of the Python package into another folder.
+pub fn place_python(from: &Path, to: &Path, means: Means) -> Result<()> {
+    PACKAGE_FOLDERS
+        .iter()
+        .try_for_each(|folder| place_files(&from.join(folder), &to.join(folder), &PACKAGE_FILES, means))
 }
 
 /// How a file gets to its place.
