@@ -7,6 +7,7 @@ import csv
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,32 +15,35 @@ import tempfile
 import time
 import unittest
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 import polars
 import pyarrow.parquet as parquet
+from PIL import Image
 
 import panoscope as ps
 from panoscope.studies import plan, process, statistics, table, values
 from panoscope.studies.store import Store
 
 COMMAND = os.environ["PANOSCOPE_BIN"]
-KILLS = int(os.environ.get("PANOSCOPE_BATCH_KILLS", "5"))
+KILLS = int(os.environ.get("PANOSCOPE_BATCH_KILLS", "3"))
 SEED = int(os.environ.get("PANOSCOPE_BATCH_SEED", "1"))
 MAX_S = 120.0
 GRAPH = """
 name = "tiny"
 mode = "batch"
-plugins = ["phantom", "flow", "sinks"]
-[args.seed]
-type = "whole"
-default = 1
-[nodes.scope]
-type = "phantom"
-params = { width = 64, height = 48, seed = { arg = "seed" } }
+plugins = ["capture", "flow", "sinks"]
+[args.clip]
+type = "source"
+[args.again]
+type = "flag"
+default = false
+[nodes.views]
+type = "capture"
+params = { left = { arg = "clip" }, loop = { arg = "again" } }
 [nodes.light]
 type = "level"
-inputs = { image = "scope.left" }
+inputs = { image = "views.left" }
 [nodes.rows]
 type = "write_table"
 inputs = { table = "light.levels" }
@@ -55,16 +59,24 @@ class Case(unittest.TestCase):
         self.graph = self.folder / "tiny.toml"
         self.graph.write_text(GRAPH)
 
-    def table(self, seeds: int) -> Path:
+    def clip(self, number: int, light: Optional[int] = None) -> str:
+        """A folder of three pictures, as a pattern."""
+        folder = self.folder / "clips" / str(number)
+        folder.mkdir(parents=True, exist_ok=True)
+        for tick in range(3):
+            Image.new("L", (32, 24), 10 * number + tick if light is None else light).save(folder / f"{tick}.png")
+        return str(folder / "*.png")
+
+    def table(self, clips: int) -> Path:
         file = self.folder / "inputs.csv"
         with file.open("w", newline="") as stream:
             writer = csv.writer(stream)
-            writer.writerow(["seed", "patient"])
-            writer.writerows((seed, f"p{seed % 3}") for seed in range(1, seeds + 1))
+            writer.writerow(["clip", "patient"])
+            writer.writerows((self.clip(number), f"p{number % 3}") for number in range(1, clips + 1))
         return file
 
     def batch(self, out: str, rows: Any, **options: Any) -> ps.Study:
-        return ps.batch(self.graph, rows, self.folder / out, **{"frames": 3, "threads": 1, "progress": False, **options})
+        return ps.batch(self.graph, rows, self.folder / out, **{"threads": 1, "progress": False, **options})
 
     def rows(self, out: str) -> list[dict[str, Any]]:
         found: list[dict[str, Any]] = parquet.read_table(self.folder / out / "table" / "runs.parquet").to_pylist()
@@ -104,71 +116,89 @@ class Plans(Case):
             plan.runs_of([{"seed": "1"}, {"seed": "2"}, {"seed": "1"}], known, {}, [{}])
 
     def test_mistakes_are_named_before_anything_runs(self) -> None:
-        for rows, options, message in (
+        rows = [{"clip": self.clip(1)}]
+        for given, options, message in (
             ([], {}, "no input"),
-            ([{"seed": 1}], {"sweep": {"light.gain": [99]}}, "gain"),
-            ([{"seed": 1}], {"sweep": {"light.gain": (1, 2)}}, "from, to, steps"),
-            ([{"seed": 1}], {"args": {"seed": 3}}, "leave one of them out"),
-            ([{"seed": 1}], {"executor": "spark"}, "tcp://HOST:PORT"),
+            ([{"patient": "p1"}], {}, "the graph needs the arguments clip: the table has the columns patient"),
+            ([{"clip": ""}], {}, "`clip` is empty in rows 1"),
+            (rows, {"sweep": {"light.gain": [99]}}, "gain"),
+            (rows, {"sweep": {"light.gain": (1, 2)}}, "from, to, steps"),
+            (rows, {"args": {"clip": "a.mkv"}}, "leave one of them out"),
+            (rows, {"executor": "spark"}, "tcp://HOST:PORT"),
         ):
             with self.assertRaisesRegex(ps.PanoscopeError, message):
-                self.batch("study", rows, **options)
+                self.batch("study", given, **options)
         self.assertFalse((self.folder / "study" / "runs").exists())
 
 
 class Runs(Case):
     def test_a_run_is_done_once_and_again_when_what_it_depends_on_changes(self) -> None:
-        study = self.batch("study", self.table(2), sweep={"light.gain": [1.0, 2.0]}, ticks=True)
+        options = {"sweep": {"light.gain": [1.0, 2.0]}, "ticks": True}
+        study = self.batch("study", self.table(2), **options)
         self.assertEqual(study.counts["done"], 4, study.failures)
         rows = self.rows("study")
-        self.assertEqual([(row["seed"], row["patient"], row["light.gain"]) for row in rows], [(1, "p1", 1.0), (1, "p1", 2.0), (2, "p2", 1.0), (2, "p2", 2.0)])
+        self.assertEqual([(row["patient"], row["light.gain"]) for row in rows], [("p1", 1.0), ("p1", 2.0), ("p2", 1.0), ("p2", 2.0)])
+        self.assertEqual([row["light.level.mean"] for row in rows], [11.0, 22.0, 21.0, 42.0])
         self.assertTrue(all(row["status"] == "done" and row["frames"] == 3 and row["light.level.count"] == 3 for row in rows))
-        self.assertAlmostEqual(rows[1]["light.level.mean"], 2 * rows[0]["light.level.mean"], 9)
         self.assertTrue(all(rows[0][f"{name}_hash"] for name in table.HASHES))
+        self.assertNotEqual(rows[0]["inputs_hash"], rows[2]["inputs_hash"])
         ticks = parquet.read_table(study.table / "ticks.parquet")
-        self.assertEqual((ticks.num_rows, ticks["tick"].to_pylist()[:3]), (12, [0, 1, 2]))
-        self.assertAlmostEqual(sum(ticks["light.level"].to_pylist()[:3]) / 3, rows[0]["light.level.mean"], 9)
-        # What the sink wrote lies with the run, not where the graph says.
-        (file,) = rows[0]["files"]
-        self.assertEqual(len((Store(study.folder).run(rows[0]["run"]) / file).read_text().splitlines()), 4)
+        self.assertEqual((ticks["tick"].to_pylist()[:3], ticks["light.level"].to_pylist()[:6]), ([0, 1, 2], [10.0, 11.0, 12.0, 20.0, 22.0, 24.0]))
+        # What the sink wrote is with the run, not where the graph says.
+        self.assertEqual(rows[0]["files"], ["files/out/levels.csv"])
+        self.assertEqual(len((Store(study.folder).run(rows[0]["run"]) / rows[0]["files"][0]).read_text().splitlines()), 4)
         self.assertFalse((self.folder / "out").exists())
         before = (study.table / "runs.parquet").read_bytes()
-        again = self.batch("study", self.table(2), sweep={"light.gain": [1.0, 2.0]}, ticks=True)
-        self.assertEqual(dict(again.counts), {"kept": 4, "open": 0})
+        self.assertEqual(dict(self.batch("study", self.table(2), **options).counts), {"kept": 4, "open": 0})
         self.assertEqual((study.table / "runs.parquet").read_bytes(), before)
-        dry = self.batch("study", self.table(3), sweep={"light.gain": [1.0, 2.0]}, ticks=True, dry_run=True)
+        dry = self.batch("study", self.table(3), **options, dry_run=True)
         self.assertEqual(dict(dry.counts), {"kept": 4, "open": 2})
-        self.graph.write_text(GRAPH.replace("height = 48", "height = 56"))
-        dry = self.batch("study", self.table(2), sweep={"light.gain": [1.0, 2.0]}, ticks=True, dry_run=True)
+        # Other bytes of an input repeat its runs, the same bytes with another time do not.
+        rows = self.table(2)
+        self.clip(2, 77)
+        changed = self.batch("study", rows, **options)
+        self.assertEqual(dict(changed.counts), {"kept": 2, "done": 2, "open": 0})
+        self.assertEqual(self.rows("study")[3]["light.level.mean"], 154.0)
+        self.graph.write_text(GRAPH + "# a remark\n")
+        dry = self.batch("study", rows, **options, dry_run=True)
         self.assertEqual(dict(dry.counts), {"open": 4})
 
     def test_failed_runs_are_listed_hide_no_others_and_are_retried(self) -> None:
-        rows = [{"seed": 1}, {"seed": -5}, {"seed": 2}]
+        lost = self.clip(2)
+        rows = [{"clip": lost}, {"clip": self.clip(1)}, {"clip": self.clip(3)}]
+        shutil.rmtree(Path(lost).parent)
         study = self.batch("study", rows)
         self.assertEqual((study.counts["done"], study.counts["failed"]), (2, 1))
         (error,) = study.failures.values()
-        self.assertIn("seed", error)
-        failed = self.rows("study")[1]
+        self.assertIn("error", error)
+        failed = self.rows("study")[0]
         self.assertEqual((failed["status"], failed["error"]), ("failed", error))
+        self.clip(2)
         self.assertEqual(dict(self.batch("study", rows).counts), {"kept": 2, "failed": 1, "open": 0})
-        self.assertEqual(self.batch("study", rows, retry=True).counts["failed"], 1)
+        self.assertEqual(dict(self.batch("study", rows, retry=True).counts), {"kept": 2, "done": 1, "open": 0})
+        self.assertEqual([row["status"] for row in self.rows("study")], ["done"] * 3)
 
     def test_limits_of_time_and_memory_end_a_run_and_are_named(self) -> None:
-        study = self.batch("long", [{"seed": 1}], frames=10_000_000, max_s=0.4)
+        rows = [{"clip": self.clip(1), "again": True}]
+        study = self.batch("long", rows, max_s=0.4)
         self.assertIn("longer than the limit of 0.4 s", min(study.failures.values()))
-        study = self.batch("large", [{"seed": 1}], frames=10_000_000, max_memory_mb=16)
-        self.assertIn("more memory than the limit of 16 MB", min(study.failures.values()))
+        study = self.batch("large", rows, max_memory_mb=4)
+        self.assertIn("more memory than the limit of 4 MB", min(study.failures.values()))
 
     def test_a_run_of_a_killed_driver_ends_with_it(self) -> None:
-        words = [COMMAND, "run", str(self.graph), "--headless", "--unpaced"]
+        words = [COMMAND, "run", str(self.graph), "--clip", self.clip(1), "--again=true", "--headless", "--unpaced"]
         driver = f"from panoscope.studies import process; from pathlib import Path; process.run({words!r}, Path({str(self.folder / 'log')!r}), 100)"
         with subprocess.Popen([sys.executable, "-c", driver]) as parent:
             children = _wait_for(lambda: process._children(parent.pid))
-            # It has asked to end with its parent once it writes.
+            # It has asked to end with its parent before it writes.
             _wait_for(lambda: (self.folder / "out/levels.csv").exists())
             parent.kill()
             parent.wait()
             _wait_for(lambda: not any(_is_alive(child) for child in children))
+
+    def test_two_drivers_do_not_share_a_study(self) -> None:
+        with Store(self.folder / "study").lock(), self.assertRaisesRegex(ps.StudyError, f"is being run by process {os.getpid()}"):
+            self.batch("study", self.table(1))
 
 
 def _is_alive(pid: int) -> bool:
@@ -193,7 +223,7 @@ class Kills(Case):
 
     def command(self, out: str) -> list[str]:
         return [COMMAND, "batch", str(self.graph), "--inputs", str(self.table(8)), "-o", str(self.folder / out), "--param", "light.gain=1,2", "--ticks",
-                "--frames=3", "--threads=1", "--jobs=2"]  # fmt: skip
+                "--threads=1", "--jobs=2"]  # fmt: skip
 
     def run_once(self, out: str, after_s: float, kills_driver: bool, chance: random.Random) -> int:
         """Starts the batch and kills it, or one of its runs, after a while; returns its exit code."""
@@ -271,7 +301,7 @@ class Reports(Case):
                 self.assertIn(words, text)
 
     def test_the_worst_runs_are_recorded_again(self) -> None:
-        self.batch("study", [{"seed": 1}, {"seed": 2}], sweep={"light.gain": [1.0, 2.0]})
+        self.batch("study", self.table(2), sweep={"light.gain": [1.0, 2.0]})
         page = subprocess.run([COMMAND, "report", str(self.folder / "study"), "--html", str(self.folder / "page.html")], capture_output=True, text=True)
         self.assertEqual(page.returncode, 0, page.stderr)
         words = ["worst", str(self.folder / "study"), "--measure", "light.level", "-n", "1", "--record"]

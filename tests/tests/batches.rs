@@ -3,7 +3,7 @@
 use panoscope_tests::{run_python_class_with, run_python_tests};
 
 /// What the classes import.
-const MODULES: &str = "polars, pyarrow";
+const MODULES: &str = "PIL, polars, pyarrow";
 
 #[test]
 fn tables_and_patterns_become_runs() {
@@ -27,5 +27,5 @@ fn reports_and_worst_runs() {
 
 #[test]
 fn clusters_lose_no_run() {
-    run_python_tests("clusters.py", "distributed, pyarrow");
+    run_python_tests("clusters.py", "PIL, distributed, pyarrow");
 }

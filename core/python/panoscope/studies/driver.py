@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Optional, Union, cast
 
 from .. import installation
+from ..errors import GraphError
 from ..graph import Graph, word
 from ..progress import Bar
 from . import executors, table
@@ -27,6 +28,8 @@ _WAIT_S = 0.5
 _LINE_S = 10.0
 _MAX_CHECKED = 200
 """Combinations of swept values that are checked before anything runs."""
+_MAX_TRIED = 20
+"""Rows with which the graph is checked until it is right with one."""
 AnyGraph = Union[Graph, str, "os.PathLike[str]"]
 
 
@@ -79,6 +82,18 @@ def _redirected(written: Sequence[tuple[str, str]], folder: Path) -> dict[str, s
     return found
 
 
+def _first_right(words: Sequence[str], rows: Sequence[Run]) -> tuple[Run, dict[str, Any]]:
+    """A run that the graph can be checked with, and what its results depend on: an input that is missing fails its own run, not the study."""
+    first_error: Optional[GraphError] = None
+    for run in rows[:_MAX_TRIED]:
+        try:
+            return run, json.loads(Graph(words[0], [*words[1:], *run.words]).native.provenance())
+        except GraphError as error:
+            first_error = first_error or error
+    assert first_error is not None
+    raise first_error
+
+
 def _plan(graph: Graph, inputs: Any, store: Store, sweep: Mapping[str, Any], options: Mapping[str, Any]) -> _Plan:
     """Reads the inputs, checks the graph with the first of them and every combination of values, and makes the tasks."""
     known, fixed = arguments(graph), options["args"]
@@ -86,11 +101,11 @@ def _plan(graph: Graph, inputs: Any, store: Store, sweep: Mapping[str, Any], opt
     combined = combinations(sweep)
     runs = runs_of(rows_of(inputs, known), known, fixed, combined)
     fixed_words = [f"--graph-arg={name}={value}" for name, value in fixed.items()]
-    first = Graph(words[0], [*words[1:], *fixed_words, *runs[0].words])
-    for run in runs[1 : min(len(combined), _MAX_CHECKED)]:
+    first, facts = _first_right([*words, *fixed_words], runs[:: len(combined)])
+    position = runs.index(first)
+    for run in runs[position + 1 : position + min(len(combined), _MAX_CHECKED)]:
         Graph(words[0], [*words[1:], *fixed_words, *run.words]).check()
-    facts = json.loads(first.native.provenance())
-    named = {os.path.abspath(path) for path in runs[0].inputs}
+    named = {os.path.abspath(path) for path in first.inputs}
     models = [[model["name"], model["xxh3"]] for model in facts["models"] if os.path.abspath(model["file"]) not in named]
     request = {"words": [*words[1:], *fixed_words], "measures": options["measures"], "ticks": options["ticks"], "frames": options["frames"]}
     hashes = {
