@@ -26,7 +26,7 @@ from panoscope.studies import plan, process, statistics, table, values
 from panoscope.studies.store import Store
 
 COMMAND = os.environ["PANOSCOPE_BIN"]
-KILLS = int(os.environ.get("PANOSCOPE_BATCH_KILLS", "3"))
+KILLS = int(os.environ.get("PANOSCOPE_BATCH_KILLS", "2"))
 SEED = int(os.environ.get("PANOSCOPE_BATCH_SEED", "1"))
 MAX_S = 120.0
 GRAPH = """
@@ -178,6 +178,15 @@ class Runs(Case):
         self.assertEqual(dict(self.batch("study", rows, retry=True).counts), {"kept": 2, "done": 1, "open": 0})
         self.assertEqual([row["status"] for row in self.rows("study")], ["done"] * 3)
 
+    def test_measures_are_outputs_columns_and_numbers_of_nodes(self) -> None:
+        self.batch("study", self.table(1), measures=["light.levels.max", "rows.lines", "light.level"])
+        (row,) = self.rows("study")
+        self.assertEqual([name[: -len(".last")] for name in row if name.endswith(".last")], ["light.level", "light.levels.max", "rows.lines"])
+        self.assertEqual((row["light.levels.max.last"], row["rows.lines.last"]), (12.0, 3.0))
+        for measure, message in (("lihgt.level", "no node `lihgt`; its nodes are"), ("views.left", "carries image, which has no numbers"), ("level", "write it as")):
+            study = self.batch("wrong", self.table(1), measures=[measure])
+            self.assertIn(message, min(study.failures.values()))
+
     def test_limits_of_time_and_memory_end_a_run_and_are_named(self) -> None:
         rows = [{"clip": self.clip(1), "again": True}]
         study = self.batch("long", rows, max_s=0.4)
@@ -221,8 +230,12 @@ def _wait_for(condition: Any) -> Any:
 class Kills(Case):
     """Driver and runs die by kill -9 at random moments; the table of the study that was resumed has the bytes of one that nothing disturbed."""
 
+    def setUp(self) -> None:
+        super().setUp()
+        self.clips = self.table(4)
+
     def command(self, out: str) -> list[str]:
-        return [COMMAND, "batch", str(self.graph), "--inputs", str(self.table(8)), "-o", str(self.folder / out), "--param", "light.gain=1,2", "--ticks",
+        return [COMMAND, "batch", str(self.graph), "--inputs", str(self.clips), "-o", str(self.folder / out), "--param", "light.gain=1,2", "--ticks",
                 "--threads=1", "--jobs=2"]  # fmt: skip
 
     def run_once(self, out: str, after_s: float, kills_driver: bool, chance: random.Random) -> int:

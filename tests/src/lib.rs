@@ -81,12 +81,12 @@ pub fn run_python_class(file: &str, class: &str) {
     run_python(file, &[class], "");
 }
 
-/// As [`run_python_class`], of a class that imports packages.
+/// As [`run_python_tests`], of some classes of the file.
 ///
 /// # Panics
 /// When a test fails, or there is no such class.
-pub fn run_python_class_with(file: &str, class: &str, modules: &str) {
-    run_python(file, &[class], modules);
+pub fn run_python_classes(file: &str, classes: &[&str], modules: &str) {
+    run_python(file, classes, modules);
 }
 
 fn run_python(file: &str, classes: &[&str], modules: &str) {

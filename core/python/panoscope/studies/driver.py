@@ -235,13 +235,13 @@ def _compact(plan: _Plan, store: Store, study: Study, has_ticks: bool) -> None:
         table.write_ticks(plan.runs, store)
 
 
-def _without(plan: _Plan, store: Store, retry: bool, study: Study) -> list[Task]:
+def _open_tasks(plan: _Plan, store: Store, retry: bool, is_exact: bool, study: Study) -> list[Task]:
     """The tasks that are neither done nor failed."""
     tasks = []
     for run in plan.runs:
         task = plan.tasks[run.key]
         failure = store.failure(run.key)
-        if is_known(task, store):
+        if is_known(task, store, is_exact):
             study.counts[KEPT] += 1
         elif failure is not None and not retry and all(failure["hashes"].get(name) == value for name, value in plan.hashes.items()):
             study.counts[FAILED] += 1
@@ -254,7 +254,7 @@ def _warn(plan: _Plan, say: Callable[[str], None]) -> None:
     if plan.is_live:
         say("warning: the graph is live: which frames it drops depends on the machine, so that runs do not repeat; set mode = \"batch\"")
     if plan.acting:
-        say(f"warning: {', '.join(plan.acting)} act on the world outside of the folder of a run")
+        say(f"warning: {', '.join(plan.acting)} may act outside of the folder of a run, in each attempt")
 
 
 def batch(
@@ -306,7 +306,7 @@ def batch(
     _warn(plan, say)
     study = Study(store.folder, len(plan.runs))
     if dry_run:
-        tasks = _without(plan, store, retry, study)
+        tasks = _open_tasks(plan, store, retry, True, study)
         study.counts[table.OPEN] = len(tasks)
         for task in tasks:
             say(f"{task['key']}  {' '.join(task['words'])}")
@@ -314,7 +314,7 @@ def batch(
     with store.lock():
         store.clean()
         write_json(store.folder / MARK, plan.request)
-        tasks = _without(plan, store, retry, study)
+        tasks = _open_tasks(plan, store, retry, False, study)
         say(f"{len(plan.runs)} runs: {study.counts[KEPT]} are done, {study.counts[FAILED]} failed, {len(tasks)} to run")
         bar = _Progress(f"batch of {graph.name}", len(tasks), progress, say)
         where = executors.of(executor, jobs, max_s, silent_s)

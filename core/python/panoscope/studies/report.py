@@ -108,8 +108,8 @@ class _Page:
 
     def measure(self, table: Table, measure: str) -> str:
         """Numbers, distribution and worst runs of a measure."""
-        parts = [f"<h2>{html.escape(measure)}</h2>", _summaries(table.summaries(measure, ()), ())]
-        parts.append(_histogram(*table.histogram(measure)))
+        parts = [f"<h2>{html.escape(measure)}</h2>", _summaries(table.summaries(measure, (), self.by), ())]
+        parts.append(_histogram(*table.histogram(measure, self.by)))
         if self.by:
             parts.append(_summaries(table.summaries(measure, self.by), self.by))
         is_larger = is_larger_better(measure, self.larger, self.smaller)
@@ -121,7 +121,7 @@ class _Page:
         request = read_json(table.folder / MARK) or {}
         more = [*self.by, *request.get("columns", []), *request.get("sweep", {})]
         names = list(dict.fromkeys(name for name in more if name in table.columns))
-        worst = table.worst(measure, _WORST, is_larger, [*names, "files"])
+        worst = table.worst(measure, _WORST, is_larger, [*names, "files"], self.by)
         store, rows, pictures = Store(table.folder), [], []
         for row in worst:
             folder = store.run(row["run"])

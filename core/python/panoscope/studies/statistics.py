@@ -97,6 +97,8 @@ class Table:
         self._pl = needed("polars", "a report of a study")
         self.frame = self._pl.scan_parquet(self.file)
         self.columns: list[str] = self.frame.collect_schema().names()
+        self._loaded: tuple[Any, Any] = (None, None)
+        """What was read last, and its rows: everything about a measure is computed from one reading."""
 
     @property
     def measures(self) -> list[str]:
@@ -111,11 +113,18 @@ class Table:
         return list(measures) or self.measures
 
     def values(self, measure: str, more: Sequence[str] = ()) -> Any:
-        """The mean of a measure in each run that is done, as column ``value``; lazy."""
+        """The mean of a measure in each run that has one, as column ``value``; lazy. Runs that failed have none."""
         col = self._pl.col
-        value = col(measure + MEAN).cast(self._pl.Float64)
-        kept = self.frame.filter((col("status") == "done") & value.is_not_null() & value.is_finite())
-        return kept.select(value.alias("value"), *(col(name) for name in more))
+        value = col(measure + MEAN).cast(self._pl.Float64).alias("value")
+        return self.frame.select(value, *(col(name) for name in more)).filter(col("value").is_finite())
+
+    def _read(self, measure: str, by: Sequence[str]) -> Any:
+        wanted = (measure, tuple(by))
+        if self._loaded[0] != wanted:
+            # The rows before go first: two measures need not fit into the memory.
+            self._loaded = (None, None)
+            self._loaded = (wanted, self.values(measure, ["number", *by]).collect(engine="streaming"))
+        return self._loaded[1]
 
     def statuses(self) -> dict[str, int]:
         """Number of runs by status."""
@@ -128,39 +137,42 @@ class Table:
         failed = self.frame.filter(col("status") == "failed").group_by("error").agg(col("run").min(), self._pl.len())
         return [(str(error), str(run), int(count)) for error, run, count in failed.sort(["len", "error"], descending=[True, False]).head(most).collect().rows()]
 
-    def summaries(self, measure: str, by: Sequence[str]) -> list[Summary]:
-        """A measure over all runs, or for each group of them."""
-        col = self._pl.col
-        value = col("value")
+    def summaries(self, measure: str, by: Sequence[str], groups: Sequence[str] = ()) -> list[Summary]:
+        """A measure over all runs, or for each group of them. ``groups`` are columns that later calls group by: they are read at once."""
+        value = self._pl.col("value")
         facts = [value.len().alias("n"), value.mean().alias("mean"), value.std().alias("std")]
         facts += [value.quantile(share, "linear").alias(f"q{share}") for share in (0.05, 0.5, 0.95)]
-        rows = self.values(measure, by)
-        # Quantiles of the streaming engine are those of the other one.
+        rows = self._read(measure, by or groups)
         found = rows.group_by(list(by)).agg(facts).sort(list(by)) if by else rows.select(facts)
         summaries = []
-        for row in found.collect(engine="streaming").rows():
+        for row in found.rows():
             group, (count, mean, deviation, *quantiles) = row[: len(by)], row[len(by) :]
             low, median, high = (math.nan if quantile is None else quantile for quantile in quantiles)
             summaries.append(Summary(group, Interval.of(count, mean, deviation), low, median, high))
         return summaries
 
-    def histogram(self, measure: str) -> tuple[float, float, list[int]]:
+    def histogram(self, measure: str, groups: Sequence[str] = ()) -> tuple[float, float, list[int]]:
         """Least and largest value, and the number of runs in each of 40 parts between them."""
-        value = self._pl.col("value")
-        ends = self.values(measure).select(value.min().alias("low"), value.max().alias("high")).collect(engine="streaming").row(0)
-        if ends[0] is None:
+        values = self._read(measure, groups)["value"]
+        if not len(values):
             return math.nan, math.nan, []
-        low, high = float(ends[0]), float(ends[1])
+        low, high = float(values.min()), float(values.max())
         width = (high - low) / BINS or 1.0
-        place = ((value - low) / width).floor().clip(0, BINS - 1).cast(self._pl.Int32).alias("bin")
-        counts = dict(self.values(measure).select(place).group_by("bin").len().collect(engine="streaming").rows())
+        bins = ((values - low) / width).cast(self._pl.UInt8).clip(0, BINS - 1)
+        counts = dict(bins.value_counts().rows())
         return low, high, [int(counts.get(index, 0)) for index in range(BINS)]
 
-    def worst(self, measure: str, most: int, is_larger: bool, more: Sequence[str] = ()) -> list[dict[str, Any]]:
+    def worst(self, measure: str, most: int, is_larger: bool, more: Sequence[str] = (), groups: Sequence[str] = ()) -> list[dict[str, Any]]:
         """The worst runs, the worst first; those of equal value in the order of the table."""
-        names = ["run", "number", *(name for name in more if name in self.columns and name not in ("run", "number"))]
-        worst = self.values(measure, names).sort(["value", "number"], descending=[not is_larger, False]).head(most)
-        return list(worst.collect(engine="streaming").to_dicts())
+        rows, col = self._read(measure, groups).select("value", "number"), self._pl.col
+        ends = rows["value"].bottom_k(most) if is_larger else rows["value"].top_k(most)
+        if not len(ends):
+            return []
+        is_bad = col("value") <= ends.max() if is_larger else col("value") >= ends.min()
+        found = rows.filter(is_bad).sort(["value", "number"], descending=[not is_larger, False]).head(most)
+        names = list(dict.fromkeys(["number", "run", *(name for name in more if name in self.columns)]))
+        facts = self.frame.select(names).filter(col("number").is_in(found["number"].to_list())).collect(engine="streaming")
+        return list(found.join(facts, on="number", how="left", maintain_order="left").to_dicts())
 
 
 def paired(first: Table, second: Table, measure: str, is_larger: bool) -> Paired:
