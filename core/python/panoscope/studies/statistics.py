@@ -169,10 +169,11 @@ class Table:
         if not len(ends):
             return []
         is_bad = col("value") <= ends.max() if is_larger else col("value") >= ends.min()
-        found = rows.filter(is_bad).sort(["value", "number"], descending=[not is_larger, False]).head(most)
+        order: dict[str, Any] = {"by": ["value", "number"], "descending": [not is_larger, False]}
+        found = rows.filter(is_bad).sort(**order).head(most)
         names = list(dict.fromkeys(["number", "run", *(name for name in more if name in self.columns)]))
         facts = self.frame.select(names).filter(col("number").is_in(found["number"].to_list())).collect(engine="streaming")
-        return list(found.join(facts, on="number", how="left", maintain_order="left").to_dicts())
+        return list(found.join(facts, on="number", how="left").sort(**order).to_dicts())
 
 
 def paired(first: Table, second: Table, measure: str, is_larger: bool) -> Paired:
