@@ -83,6 +83,14 @@ pub fn run_python_class(file: &str, class: &str) {
     run_python(file, &[class], "");
 }
 
+/// As [`run_python_tests`], of some classes of the file.
+///
+/// # Panics
+/// When a test fails, or there is no such class.
+pub fn run_python_classes(file: &str, classes: &[&str], modules: &str) {
+    run_python(file, classes, modules);
+}
+
 fn run_python(file: &str, classes: &[&str], modules: &str) {
     if !has_python() {
         return;

@@ -2,6 +2,7 @@
 
 mod ages;
 mod attach;
+mod batches;
 mod c_plugins;
 mod checks;
 mod data_sets;

@@ -15,6 +15,7 @@ pub mod numbers;
 mod progress;
 mod summary;
 pub mod terminal;
+pub mod tick_numbers;
 pub mod trust;
 
 use std::ffi::OsString;
@@ -63,8 +64,13 @@ enum Command {
     Import(Words),
     /// Runs a graph once for each value of parameters and shows the measures.
     Sweep(Words),
-    /// Compares runs of sweeps on one HTML page.
+    /// Runs a graph once for each row of a table or each file of a pattern, on this machine or a cluster; resumes a
+    /// stopped study.
+    Batch(Words),
+    /// Compares runs of sweeps and batches on one HTML page.
     Report(Words),
+    /// Shows the worst runs of a batch, and records them again.
+    Worst(Words),
     /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; compares the responses of P,
     /// PI and PID.
     Tune(Words),
@@ -172,8 +178,28 @@ pub fn prepare() {
     if std::env::args_os().nth(1).is_some_and(|word| word == panoscope_host::isolate::COMMAND) {
         isolated::serve();
     }
+    end_with_parent();
     if let Err(error) = signals::install() {
         terminal::log!("warning: signals end the program without finishing files: {error}");
+    }
+}
+
+/// Environment variable with the process that a run of a batch belongs to.
+const PARENT_VARIABLE: &str = "PANOSCOPE_PARENT";
+
+/// Ends this process together with the one that [`PARENT_VARIABLE`] names, if that is its parent: nobody waits for the
+/// run of a driver that was killed.
+fn end_with_parent() {
+    let parent = std::env::var(PARENT_VARIABLE).ok().and_then(|text| text.parse::<libc::pid_t>().ok());
+    // SAFETY: neither call touches memory of this process.
+    let is_parent = || parent == Some(unsafe { libc::getppid() });
+    if !is_parent() {
+        return;
+    }
+    // SAFETY: as for `getppid`; the option takes one integer.
+    unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };
+    if !is_parent() {
+        terminal::leave(1);
     }
 }
 
@@ -217,6 +243,8 @@ pub fn main() -> ! {
         | Command::Export(_)
         | Command::Import(_)
         | Command::Sweep(_)
+        | Command::Batch(_)
+        | Command::Worst(_)
         | Command::Report(_)
         | Command::Tune(_)
         | Command::Soak(_)

@@ -1,6 +1,7 @@
 //! The commands that `panoscope` passes to this program, so that a build which only runs graphs needs none of their
 //! crates.
 
+mod batch;
 mod bench;
 mod calibrate;
 mod dicom;
@@ -30,7 +31,9 @@ enum Command {
     Export(export::Arguments),
     Import(import::Arguments),
     Sweep(sweep::Arguments),
+    Batch(batch::Arguments),
     Report(report::Arguments),
+    Worst(batch::WorstArguments),
     Tune(tune::Arguments),
     Soak(soak::Arguments),
     #[command(subcommand)]
@@ -62,6 +65,8 @@ fn main() {
         Command::Export(arguments) => export::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Sweep(arguments) => sweep::run(&arguments),
+        Command::Batch(arguments) => batch::run(&batch::Request::Batch(&arguments)),
+        Command::Worst(arguments) => batch::run(&batch::Request::Worst(&arguments)),
         Command::Report(arguments) => report::run(&arguments),
         Command::Tune(arguments) => tune::run(&arguments),
         Command::Soak(arguments) => soak::run(&arguments),

@@ -6,13 +6,15 @@ use anyhow::{Context, Result};
 use panoscope_eval::EvalError;
 use panoscope_eval::report::{self, Options, Statistic};
 
+use crate::batch;
 use panoscope_cli::End;
 use panoscope_cli::terminal::{log, out};
 
 /// Arguments of `report`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Folders that `panoscope sweep --out` wrote, or single runs in them.
+    /// Folders that `panoscope sweep --out` wrote, or single runs in them; or one or two studies of `panoscope batch`, of which two are compared
+    /// run by run.
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Writes the page: tables and plots, without scripts, self-contained.
@@ -29,10 +31,33 @@ pub struct Arguments {
     /// A measure for which less is better, as for all others.
     #[arg(long, value_name = "MEASURE")]
     smaller: Vec<String>,
+    /// Only this measure of studies of `panoscope batch`. May be given again.
+    #[arg(long, value_name = "MEASURE")]
+    measure: Vec<String>,
+    /// Groups the runs of a study of `panoscope batch` by a column. May be given again.
+    #[arg(long, value_name = "COLUMN")]
+    by: Vec<String>,
 }
 
 /// Compares.
 pub fn run(arguments: &Arguments) -> Result<End> {
+    let are_studies = arguments.folders.iter().filter(|folder| batch::is_study(folder)).count();
+    if are_studies > 0 && are_studies < arguments.folders.len() {
+        log!(
+            "error: studies of `panoscope batch` and folders of `panoscope sweep` do not go on one page: report each kind by itself"
+        );
+        return Ok(End::Wrong);
+    }
+    if are_studies > 0 {
+        return batch::run(&batch::Request::Report {
+            studies: &arguments.folders,
+            html: &arguments.html,
+            measures: &arguments.measure,
+            by: &arguments.by,
+            larger: &arguments.larger,
+            smaller: &arguments.smaller,
+        });
+    }
     let options = Options {
         folders: arguments.folders.clone(),
         statistic: Statistic::named(&arguments.statistic).unwrap_or(Statistic::Mean),

@@ -63,6 +63,10 @@ if TYPE_CHECKING:
     from .installation import graphs
     from .recording import Recording, replay
     from .series import Packet, Result, Series
+    from .studies.driver import Study, batch
+    from .studies.report import report
+    from .studies.store import StudyError
+    from .studies.worst import worst
     from .sweeps import sweep
 
 _OF_MODULE = {
@@ -71,16 +75,21 @@ _OF_MODULE = {
     **dict.fromkeys(("Packet", "Result", "Series"), "series"),
     **dict.fromkeys(("Arg", "Output"), "building"),
     **dict.fromkeys(("Rows", "read_table"), "columns"),
+    **dict.fromkeys(("Study", "batch"), "studies.driver"),
+    "StudyError": "studies.store",
+    "report": "studies.report",
+    "worst": "studies.worst",
     "graphs": "installation",
     "sweep": "sweeps",
 }
 """What the process of a node has no use for, and its module: a node starts sooner without it."""
 
 __all__ = [
-    "AnyImage", "Arg", "Bgr8", "Calibration", "Cloud", "Confidence", "Depth", "Detections", "Diagnostic", "Disparity", "EditError", "End",
-    "Graph", "GraphError", "Gray16", "Gray8", "GrayF32", "Homography", "Joints", "Mask", "NodeError", "Output", "Packet", "PanoscopeError",
-    "Pose", "Recording", "RecordingError", "Result", "Rgba8", "Roi", "Rows", "RunError", "Running", "Scalar", "Series", "Table", "Text", "Tip",
-    "age_ms", "check", "clock_ns", "empty", "empty_like", "graphs", "log", "metric", "node", "param", "read_table", "replay", "sweep", "tick",
+    "AnyImage", "Arg", "Bgr8", "Calibration", "Cloud", "Confidence", "Depth", "Detections", "Diagnostic", "Disparity", "EditError", "End", "Graph",
+    "GraphError", "Gray16", "Gray8", "GrayF32", "Homography", "Joints", "Mask", "NodeError", "Output", "Packet", "PanoscopeError", "Pose",
+    "Recording", "RecordingError", "Result", "Rgba8", "Roi", "Rows", "RunError", "Running", "Scalar", "Series", "Study", "StudyError", "Table",
+    "Text", "Tip", "age_ms", "batch", "check", "clock_ns", "empty", "empty_like", "graphs", "log", "metric", "node", "param", "read_table",
+    "replay", "report", "sweep", "tick", "worst",
 ]  # fmt: skip
 
 

@@ -36,7 +36,9 @@ const NATIVE: &str = "_native.abi3.so";
 /// Packages of a complete program, besides the plugins.
 const PRODUCT: [&str; 5] = [PROGRAM_PACKAGE, LAB, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
 /// File extensions of the Python package: code, native part, types and the marker for types.
-pub const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
+const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
+/// The package itself and its subpackages.
+const PACKAGE_FOLDERS: [&str; 2] = [".", "studies"];
 /// Arguments for cargo that unite the features of external packages, so that every build uses the same ones.
 pub const FEATURES: [&str; 4] = ["--package", "panoscope-features", REST[0], REST[1]];
 /// Additional arguments if the whole workspace is built.
@@ -258,7 +260,7 @@ impl Artifacts {
         let folder = workspace.root.join(PYTHON);
         let native =
             self.libraries.get(&folder).with_context(|| format!("{PYTHON_PACKAGE} produced no shared library"))?;
-        place_files(&folder.join("panoscope"), package, &PACKAGE_FILES, Means::Link)?;
+        place_python(&folder.join("panoscope"), package, Means::Link)?;
         place(native, &package.join(NATIVE), Means::Link)
     }
 
@@ -352,6 +354,13 @@ pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Re
         }
     }
     Ok(())
+}
+
+/// Places the files of the Python package in another folder.
+pub fn place_python(from: &Path, to: &Path, means: Means) -> Result<()> {
+    PACKAGE_FOLDERS
+        .iter()
+        .try_for_each(|folder| place_files(&from.join(folder), &to.join(folder), &PACKAGE_FILES, means))
 }
 
 /// Way of placing a file.

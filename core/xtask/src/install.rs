@@ -8,8 +8,8 @@ use std::process::Command;
 use anyhow::{Context, Result};
 
 use crate::build::{
-    Built, Means, PACKAGE_FILES, Profile, Windows, build, build_windows, helper_names, lay_out_models, library_name,
-    place, place_files, program_name, python_package, window_names,
+    Built, Means, Profile, Windows, build, build_windows, helper_names, lay_out_models, library_name, place,
+    place_files, place_python, program_name, python_package, window_names,
 };
 use crate::onnxruntime;
 use crate::process;
@@ -102,7 +102,7 @@ impl Tree<'_> {
         }
         lay_out_models(workspace, &plugin_dir, means)?;
         let package = python_package(&self.built.program);
-        place_files(&package, &python_package(&library.join(program_name())), &PACKAGE_FILES, means)?;
+        place_python(&package, &python_package(&library.join(program_name())), means)?;
         if let Some(runtime) = self.runtime {
             // Beside the program, where the `tools` plugin looks for it.
             let folder = library.join("onnxruntime");

@@ -32,10 +32,11 @@ pub const PEERS_VARIABLE: &str = "PANOSCOPE_PYTHON_PEERS";
 /// `crate::onnxruntime`, because values are compared.
 pub const PEERS: Packages = Packages {
     name: "packages for tests in Python",
-    modules: "basedpyright, cv2, cyclonedds, foxglove, ipykernel, ipywidgets, mcap, mcap_protobuf, mypy, nbclient, numpy, onnxruntime, pandas, PIL, polars, pydicom, pyigtl, rerun, rosbags, websockets",
+    modules: "basedpyright, cv2, cyclonedds, distributed, foxglove, ipykernel, ipywidgets, mcap, mcap_protobuf, mypy, nbclient, numpy, onnxruntime, pandas, PIL, polars, pyarrow, pydicom, pyigtl, rerun, rosbags, websockets",
     requirements: &[
         "basedpyright>=1.30,<2",
         "cyclonedds==11.0.1",
+        "distributed>=2024.8",
         "foxglove-sdk==0.30.3",
         "ipykernel>=6,<8",
         "ipywidgets>=8,<9",
@@ -49,6 +50,7 @@ pub const PEERS: Packages = Packages {
         "pandas>=2,<4",
         "pillow",
         "polars>=1,<2",
+        "pyarrow>=14",
         "pydicom>=3,<4",
         "pyigtl==0.3.4",
         "rerun-sdk==0.41.0",

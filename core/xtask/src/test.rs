@@ -124,6 +124,13 @@ static CAMPAIGNS: &[Suite] = &[
     ),
     // Ticks of more than twelve hours.
     campaign("soak", &["panoscope-tests"], "test(/^soak::/)", &[("PANOSCOPE_SOAK_MINUTES", "10")]),
+    // A study whose driver and runs are killed.
+    campaign(
+        "batches",
+        &["panoscope-tests"],
+        "test(/^batches::/)",
+        &[("PANOSCOPE_BATCH_KILLS", "50"), ("PANOSCOPE_BATCH_RUNS", "100")],
+    ),
     // Many runs in one process of Python.
     campaign("leaks", &["panoscope-tests"], "test(/^python_host::runs_and/)", &[("PANOSCOPE_LEAK_RUNS", "500")]),
     // Faults of the network between two machines.

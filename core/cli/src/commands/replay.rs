@@ -192,7 +192,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         }
     }
     if let Some(path) = &arguments.report {
-        run::report_into(path, &engine.report(), &mut verdict);
+        run::report_into(path, &run::Reported { report: &engine.report(), ticks: None }, &mut verdict);
     }
     if let Some(recorder) = replay.recorder() {
         let recorded = recorder.finish();

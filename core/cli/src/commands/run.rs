@@ -20,12 +20,14 @@ use panoscope_host::loader::verify::{self, Seal, VerifyError};
 use panoscope_monitor::{Address, Monitor};
 use panoscope_record::timeline::{self, Timeline};
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
+use serde::Serialize;
 
 use crate::given::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::log_lines::{self, LogFormat};
 use crate::progress::Progress;
 use crate::terminal::{self, log, out, raw, stderr_color};
+use crate::tick_numbers::{TickNumbers, TickTable};
 use crate::trust::{IsolatedPlugins, Keys};
 use crate::{End, allocations, beside, interrupt, summary};
 
@@ -71,6 +73,10 @@ pub struct Arguments {
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+    /// Adds a number of each tick to --report: an output with a scalar or a table, a column of a table, or a number that
+    /// a node reports; `*` for all outputs with numbers. Repeatable.
+    #[arg(long, value_name = "NODE.OUTPUT[.COLUMN]|NODE.NUMBER", requires = "report")]
+    measure: Vec<String>,
     /// Writes at the end what each thread did and when, for the viewer at ui.perfetto.dev: the newest million calls,
     /// with their ticks and bytes.
     #[arg(long, value_name = "FILE.json")]
@@ -299,6 +305,13 @@ pub fn run_with(
         None => None,
     };
     let timeline = arguments.trace.is_some().then(|| Arc::new(Timeline::default()));
+    let numbers = match TickNumbers::new(&arguments.measure, &ready.text, &ready.graph, &ready.catalog) {
+        Ok(numbers) => numbers,
+        Err(error) => {
+            log!("error: {error}");
+            return Ok(RunEnd::Not(End::Wrong));
+        }
+    };
     let options = Options {
         observer: recorder.clone().map(|recorder| recorder as _),
         tracer: timeline.clone().map(|timeline| timeline as _),
@@ -310,6 +323,8 @@ pub fn run_with(
         process_allocations: allocations::process(),
         thread_allocations: allocations::thread(),
         faults,
+        listen: numbers.listeners(),
+        numbers: numbers.number_listeners(),
         ..Options::default()
     };
     // Not before the recording's head has the names of the files.
@@ -355,7 +370,8 @@ pub fn run_with(
     let Running { expected_faults, .. } = running;
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
     if let Some(path) = &arguments.report {
-        report_into(path, &engine.report(), &mut verdict);
+        let ticks = (!arguments.measure.is_empty()).then(|| numbers.table());
+        report_into(path, &Reported { report: &engine.report(), ticks }, &mut verdict);
     }
     if let Some((path, timeline)) = arguments.trace.as_ref().zip(timeline)
         && let Err(error) = timeline::write(&timeline, path)
@@ -451,16 +467,30 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphO
     }
 }
 
+/// The contents of a report.
+#[derive(Serialize)]
+pub struct Reported<'r> {
+    /// Counters and times.
+    #[serde(flatten)]
+    pub report: &'r Report,
+    /// Numbers of `--measure`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ticks: Option<TickTable>,
+}
+
 /// Writes the report; a failure to write is reported without hiding the result of the run.
-pub fn report_into(path: &Path, report: &Report, verdict: &mut Verdict) {
+pub fn report_into(path: &Path, report: &Reported, verdict: &mut Verdict) {
     if let Err(error) = write_report(path, report) {
         verdict.add(Weight::Error, format!("{error:#}"));
     }
 }
 
 /// Writes the report atomically, so that no reader sees a partial file.
-fn write_report(path: &Path, report: &Report) -> Result<()> {
-    let text = serde_json::to_string_pretty(report)? + "\n";
+fn write_report(path: &Path, report: &Reported) -> Result<()> {
+    // A line for each number of each tick would triple the file.
+    let text =
+        if report.ticks.is_some() { serde_json::to_string(report)? } else { serde_json::to_string_pretty(report)? };
+    let text = text + "\n";
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }

@@ -6,10 +6,11 @@ use std::sync::{Arc, Mutex};
 
 use panoscope_engine::inbox::{Full, Inbox};
 use panoscope_engine::{Engine, Options};
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, check, command_line};
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, ParamKind, ParamValue, check, command_line};
 use panoscope_host::loader::{self as loader, Live, Loader};
-use panoscope_record::{RecordOptions, Recorder, ReplayOptions, head};
+use panoscope_record::{FileHash, RecordOptions, Recorder, ReplayOptions, hash_file, head};
 use pyo3::prelude::*;
+use serde::Serialize;
 
 use super::error::Problem;
 use super::recording::RecordingFile;
@@ -143,6 +144,59 @@ impl GraphFile {
     }
 }
 
+/// What the results of a run depend on besides its inputs, and what the run writes.
+#[derive(Serialize)]
+struct Provenance {
+    version: String,
+    is_live: bool,
+    /// The graph, its parts and its overlays.
+    files: Vec<FileHash>,
+    plugins: Vec<FileHash>,
+    /// Files that must exist, by `node.param`.
+    models: Vec<FileHash>,
+    /// Files and folders that nodes write: `node.param` and the path.
+    written: Vec<(String, PathBuf)>,
+    /// Nodes with other side effects.
+    acting: Vec<String>,
+}
+
+impl Provenance {
+    fn of(ready: Ready) -> Self {
+        let path = ready.text.path().to_owned();
+        let head = head(&ready.graph, &ready.catalog, &ready.loader, &path, "", &[]);
+        let (mut written, mut acting) = (Vec::new(), Vec::new());
+        for node in &ready.graph.nodes {
+            let node_type = node.node_type(&ready.catalog);
+            let before = written.len();
+            for (param, value) in node_type.params.iter().zip(&node.params) {
+                if let (ParamKind::Path { must_exist: false, .. }, ParamValue::Path(file)) = (&param.kind, value)
+                    && node_type.side_effects
+                {
+                    written.push((format!("{}.{}", node.id, param.name), file.clone()));
+                }
+            }
+            if node_type.side_effects && written.len() == before {
+                acting.push(node.id.clone());
+            }
+        }
+        Self {
+            version: head.version,
+            is_live: ready.graph.mode == Mode::Live,
+            files: ready.text.files().into_iter().map(|file| hash_file(file.path, Path::new(file.path))).collect(),
+            plugins: head.plugins,
+            models: head.models,
+            written,
+            acting,
+        }
+    }
+}
+
+/// XXH3 of a file with 128 bits, as hexadecimal digits; empty when the file cannot be read.
+#[pyfunction]
+pub fn file_hash(py: Python<'_>, file: PathBuf) -> String {
+    py.detach(|| hash_file("", &file).xxh3)
+}
+
 /// Options of the start of a graph.
 struct Start {
     watch: Vec<String>,
@@ -248,6 +302,12 @@ impl GraphFile {
             (arg.name.clone(), arg.kind.word().to_owned(), arg.doc.clone(), missing.contains(&arg.name.as_str()))
         };
         self.text.args().iter().map(of).collect()
+    }
+
+    /// What the results of a run depend on besides its inputs, and what the run writes, as JSON; see [`Provenance`].
+    fn provenance(&self, py: Python<'_>) -> PyResult<String> {
+        let find = || Ok(serde_json::to_string(&Provenance::of(self.ready(&[], false)?)).unwrap_or_default());
+        py.detach(find).map_err(|problem: Problem| problem.raise(py))
     }
 
     /// The text of the file as read.

@@ -20,5 +20,6 @@ pub fn add_to(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<graph::GraphFile>()?;
     module.add_class::<running::Running>()?;
     module.add_class::<recording::RecordingFile>()?;
+    module.add_function(wrap_pyfunction!(graph::file_hash, module)?)?;
     module.add_function(wrap_pyfunction!(graph::replay, module)?)
 }
