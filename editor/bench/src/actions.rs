@@ -46,6 +46,8 @@ pub enum Action {
     Note,
     /// Align the selected nodes.
     Align,
+    /// Arrange the selected nodes along the flow, or all nodes.
+    Arrange,
     /// Open the selected part, or fold it.
     OpenPart,
     /// Make a part of the selected nodes.
@@ -174,6 +176,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Frame, NONE, Key::G, named("action-frame")),
         (Note, NONE, Key::O, named("action-note")),
         (Align, NONE, Key::L, named("action-align")),
+        (Arrange, Modifiers::SHIFT, Key::A, named("action-arrange")),
         (OpenPart, NONE, Key::E, named("action-open-part")),
         (MakePart, NONE, Key::K, named("action-make-part")),
         (Dissolve, Modifiers::SHIFT, Key::K, named("action-dissolve")),

@@ -7,7 +7,7 @@ use eframe::egui::{
     vec2,
 };
 
-use crate::search;
+use crate::search::{self, Candidate};
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
@@ -119,7 +119,7 @@ impl Files {
     pub fn show(&mut self, ctx: &Context) -> Option<Option<String>> {
         let order = match self.typed.is_empty() {
             true => (0..self.entries.len()).collect(),
-            false => search::rank(&self.typed, self.entries.iter().map(|e| (e.name.as_str(), ""))),
+            false => search::rank(&self.typed, "", self.entries.iter().map(|e| Candidate { name: &e.name, ..Candidate::default() })),
         };
         self.chosen = self.chosen.min(order.len().saturating_sub(1));
         let take = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));

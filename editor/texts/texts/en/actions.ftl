@@ -20,6 +20,7 @@ action-next-too = Add the next node to the selection
 action-frame = Frame the selected nodes
 action-note = Add a note
 action-align = Align the selected nodes
+action-arrange = Arrange the selected nodes along the flow, or all nodes
 action-open-part = Open the selected part, or fold it
 action-make-part = Make a part of the selected nodes
 action-dissolve = Dissolve the selected part into its nodes
