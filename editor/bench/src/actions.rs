@@ -76,8 +76,12 @@ pub enum Action {
     Snapshot,
     /// Show mistakes and faults.
     Problems,
+    /// Take faults that are mended out of the picture.
+    Acknowledge,
     /// Show the timeline of a recording.
     Timeline,
+    /// Record the run from its start, or end the recording and show it.
+    Record,
     /// Play the recording, or pause it.
     Play,
     /// One tick back in the recording.
@@ -191,7 +195,9 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (States, NONE, Key::R, named("action-states")),
         (Snapshot, Modifiers::SHIFT, Key::R, named("action-snapshot")),
         (Problems, NONE, Key::M, named("action-problems")),
+        (Acknowledge, Modifiers::SHIFT, Key::M, named("action-acknowledge")),
         (Timeline, NONE, Key::J, named("action-timeline")),
+        (Record, Modifiers::SHIFT, Key::J, named("action-record")),
         (Play, NONE, Key::Q, named("action-play")),
         (TickBack, NONE, Key::Comma, named("action-tick-back")),
         (TickForward, NONE, Key::Period, named("action-tick-forward")),

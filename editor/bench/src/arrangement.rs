@@ -55,8 +55,15 @@ impl Arrangement {
                 Panel::top("top").exact_size(BAR).show(ui, |_| {});
                 Panel::right("side").frame(Frame::NONE).exact_size(SIDE).show(ui, |_| {});
                 CentralPanel::no_frame().show(ui, |ui| {
-                    let scene =
-                        Scene { view, counters: &counters, shown: &shown, heat: false, running: false, problem: None, recorded: None };
+                    let scene = Scene {
+                        view,
+                        counters: &counters,
+                        shown: &shown,
+                        heat: false,
+                        running: false,
+                        problem: None,
+                        recorded: None,
+                    };
                     canvas.show(ui, &scene, 1);
                 });
             });

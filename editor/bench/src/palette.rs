@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use eframe::egui::{
-    Align, Align2, Color32, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, TextWrapMode, Ui,
-    WidgetInfo, WidgetType, vec2,
+    Align, Align2, Color32, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense,
+    TextWrapMode, Ui, WidgetInfo, WidgetType, vec2,
 };
 use panoscope_editor_texts as texts;
 use panoscope_editor_texts::text;
@@ -215,7 +215,8 @@ fn wires(document: &Document, node: usize) -> Vec<Entry> {
         }
     }
     let inputs = view.nodes[node].node_type.iter().flat_map(|t| &t.inputs);
-    let pairs = inputs.flat_map(|port| candidates(document, node, &port.name).into_iter().map(move |from| (port, from)));
+    let pairs =
+        inputs.flat_map(|port| candidates(document, node, &port.name).into_iter().map(move |from| (port, from)));
     all.extend(pairs.map(|(port, from)| Entry {
         name: text!("palette-from", input = &port.name, output = from.to_string()),
         side: port.packet.name.clone(),

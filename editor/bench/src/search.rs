@@ -131,7 +131,8 @@ mod tests {
 
     #[test]
     fn a_word_wins_over_scattered_letters() {
-        let names = [("Presets and snapshots", ""), ("Paths of dropped and late ticks", ""), ("mean/mean.past_weight", "")];
+        let names =
+            [("Presets and snapshots", ""), ("Paths of dropped and late ticks", ""), ("mean/mean.past_weight", "")];
         assert_eq!(ranked("past", &names)[0], 2);
         // Also a word of the description, and one inside a word, over letters that start words.
         let names = [("Panels and help", ""), ("smooth", "sums the past")];
@@ -142,7 +143,8 @@ mod tests {
 
     #[test]
     fn ports_synonyms_and_uses_count() {
-        let types = [("evaluate_stitch", "compares"), ("composite", "inputs left right, outputs panorama"), ("resize", "")];
+        let types =
+            [("evaluate_stitch", "compares"), ("composite", "inputs left right, outputs panorama"), ("resize", "")];
         assert_eq!(ranked("panorama", &types)[..2], [1, 0], "a port before a word of the same meaning");
         assert_eq!(ranked("wide", &types)[0], 0, "`wide` means stitch");
         assert_eq!(ranked("left pano", &types), [1], "all typed words count");

@@ -69,8 +69,7 @@ fn generated() -> Vec<(String, String)> {
 
 /// A graph with positions that have nothing to do with its wires, on a grid with gaps of 32 points and more.
 fn placed_by_hand(text: &str) -> String {
-    let nodes: Vec<&str> =
-        text.lines().filter_map(|line| line.strip_prefix("[nodes.")?.strip_suffix(']')).collect();
+    let nodes: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("[nodes.")?.strip_suffix(']')).collect();
     let columns = (nodes.len() as f32).sqrt().ceil() as usize;
     // Every node somewhere else than its neighbours.
     let stride = if nodes.len().is_multiple_of(7) { 5 } else { 7 };

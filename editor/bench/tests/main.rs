@@ -6,6 +6,7 @@ mod arrange;
 mod attachable;
 mod attached;
 mod begin;
+mod build;
 mod common;
 mod corpus;
 mod docks;

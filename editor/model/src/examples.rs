@@ -70,7 +70,8 @@ pub fn uses(folders: &[PathBuf]) -> HashMap<String, usize> {
         for (_, node) in nodes {
             let named = |key: &str| node.get(key).and_then(toml::Value::as_str);
             let node_type = named("type").map(|name| name.rsplit('/').next().unwrap_or(name).to_owned());
-            let part = named("graph").and_then(|file| Some(Path::new(file).file_stem()?.to_string_lossy().into_owned()));
+            let part =
+                named("graph").and_then(|file| Some(Path::new(file).file_stem()?.to_string_lossy().into_owned()));
             if let Some(name) = node_type.or(part) {
                 *uses.entry(name).or_default() += 1;
             }
@@ -135,10 +136,16 @@ mod tests {
         assert_eq!(found, [folder.join("small.toml"), folder.join("large.toml")]);
         let uses = uses(&folders[..1]);
         assert_eq!((uses["smooth"], uses["pass"], uses["calm"]), (2, 2, 1));
-        write("parts/wide.toml", "# Makes it wide.\n[part]\ninputs = { left = \"m.image\" }\n[nodes.m]\ntype = \"smooth\"\n");
+        write(
+            "parts/wide.toml",
+            "# Makes it wide.\n[part]\ninputs = { left = \"m.image\" }\n[nodes.m]\ntype = \"smooth\"\n",
+        );
         let parts = parts(&folders[..1]);
         assert_eq!(parts.len(), 1, "a part without ports cannot be wired: {parts:?}");
-        assert_eq!((parts[0].name.as_str(), parts[0].doc.as_str(), &parts[0].ports[..]), ("wide", "Makes it wide.", &["left".to_owned()][..]));
+        assert_eq!(
+            (parts[0].name.as_str(), parts[0].doc.as_str(), &parts[0].ports[..]),
+            ("wide", "Makes it wide.", &["left".to_owned()][..])
+        );
         std::fs::remove_dir_all(&folder).expect("removed");
     }
 }

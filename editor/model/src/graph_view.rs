@@ -113,7 +113,13 @@ pub fn without_name(message: &str, id: &str) -> String {
     let local = id.rsplit('/').next().unwrap_or(id);
     let named = [id, local].map(|name| format!("`{name}`"));
     let patterns = named.iter().flat_map(|name| {
-        [format!("node {name}: "), format!("{name}: "), format!(" of {name}"), format!(" in {name}"), format!(" at {name}")]
+        [
+            format!("node {name}: "),
+            format!("{name}: "),
+            format!(" of {name}"),
+            format!(" in {name}"),
+            format!(" at {name}"),
+        ]
     });
     patterns.fold(message.to_owned(), |message, pattern| message.replacen(&pattern, "", 1))
 }

@@ -114,6 +114,7 @@ impl App {
                 self.try_edit(result);
             }
             InspectorRequest::ViewLarge(output) => self.view_large(output),
+            InspectorRequest::Acknowledge => self.acknowledge(),
             InspectorRequest::Help => self.show_node_help(Some(node)),
             InspectorRequest::Source => self.open_source(Some(node)),
             InspectorRequest::Trace => {
@@ -224,6 +225,8 @@ impl App {
             }
             Action::Problems => _ = self.docks.toggle(Panel::Problems),
             Action::Timeline => _ = self.docks.toggle(Panel::Timeline),
+            Action::Record => self.record(),
+            Action::Acknowledge => self.acknowledge(),
             Action::Play | Action::TickBack | Action::TickForward => match &self.timeline {
                 Some(timeline) if action == Action::Play => timeline.play(!timeline.position().plays),
                 Some(timeline) => timeline.step(if action == Action::TickBack { -1 } else { 1 }),
@@ -380,7 +383,7 @@ impl App {
     }
 
     /// Moves added nodes so that they do not overlap others, as part of the same undo step.
-    fn make_room(&mut self, added: &[String]) {
+    pub(super) fn make_room(&mut self, added: &[String]) {
         let view = self.document.view().clone();
         let by = self.canvas.offset_to_free_space(&view, self.document.revision(), added);
         if by == Vec2::ZERO {

@@ -11,9 +11,11 @@ impl Canvas {
     /// New positions of the selected nodes and opened parts, in layers along the flow from where their upper left corner is, clear of all others.
     /// Of selected nodes of several levels only those of the outermost one move.
     pub fn arranged(&self, view: &GraphView) -> Vec<(String, (f32, f32))> {
-        let nodes = self.ids.iter().zip(&self.shapes).filter_map(|(id, shape)| {
-            Some((id.as_str(), Rect::from_min_size(self.position(id)?, shape.size)))
-        });
+        let nodes = self
+            .ids
+            .iter()
+            .zip(&self.shapes)
+            .filter_map(|(id, shape)| Some((id.as_str(), Rect::from_min_size(self.position(id)?, shape.size))));
         let all = nodes.chain(self.frames.iter().map(|(id, rect)| (id.as_str(), *rect)));
         let outer = self.selected.iter().map(|id| parent(id)).min_by_key(|part| part.len()).unwrap_or_default();
         let level = all.filter(|(id, _)| parent(id) == outer);
@@ -21,7 +23,9 @@ impl Canvas {
         let Some(around) = items.iter().map(|(_, rect)| *rect).reduce(|a, b| a.union(b)) else { return Vec::new() };
         let item = |node: usize| {
             let id = view.nodes[node].id();
-            items.iter().position(|(item, _)| id.strip_prefix(*item).is_some_and(|r| r.is_empty() || r.starts_with('/')))
+            items
+                .iter()
+                .position(|(item, _)| id.strip_prefix(*item).is_some_and(|r| r.is_empty() || r.starts_with('/')))
         };
         let pairs = |delayed: bool| -> Vec<(usize, usize)> {
             let wires = view.wires.iter().filter(|wire| wire.delayed == delayed);

@@ -5,8 +5,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use eframe::egui::emath::GuiRounding as _;
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{
-    Align2, Color32, CornerRadius, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui, Vec2, pos2,
-    vec2,
+    Align2, Color32, CornerRadius, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui, Vec2,
+    pos2, vec2,
 };
 
 use super::paint::MIN_TEXT;
@@ -171,11 +171,12 @@ impl Canvas {
     /// Draws the status light.
     fn paint_light(&self, ui: &Ui, scene: &Scene<'_>, node: usize, at: Pos2) {
         let id = scene.view.nodes[node].id();
-        let fault = scene.counters.faults.get(id);
+        // The graph that runs is not what a recording shows.
+        let is_live = scene.recorded.is_none();
+        let fault = scene.counters.faults.get(id).filter(|_| is_live);
         let color = match fault {
-            Some(fault) if scene.recorded.is_none() => fault_color(fault),
-            // The graph that runs is not what a recording shows.
-            _ if scene.recorded.is_some() => theme::line(),
+            Some(fault) => fault_color(fault),
+            None if !is_live => theme::line(),
             None if scene.running && scene.counters.nodes.get(id).is_some_and(|c| c.fps > 0.0) => {
                 theme::family("source")
             }
@@ -183,7 +184,7 @@ impl Canvas {
         };
         let radius = (4.0 * self.scale()).max(2.5);
         ui.painter().circle_filled(at, radius, color);
-        if fault.is_some() && scene.recorded.is_none() {
+        if fault.is_some() {
             // A ring marks a fault without relying on colour.
             ui.painter().circle_stroke(at, radius + 2.5, Stroke::new(1.0, color));
         }
@@ -235,7 +236,8 @@ impl Canvas {
             None => {
                 painter.rect_filled(frame, 4.0 * scale, theme::sunk());
                 let lacks = scene.recorded.is_some_and(|has| !has(below));
-                let caption = if lacks { text!("canvas-not-recorded") } else { scene.shown.text(output).unwrap_or(packet) };
+                let caption =
+                    if lacks { text!("canvas-not-recorded") } else { scene.shown.text(output).unwrap_or(packet) };
                 let galley =
                     painter.layout(caption.to_owned(), self.font(11.0), theme::text(), frame.width() - 16.0 * scale);
                 let clipped = painter.with_clip_rect(frame.intersect(self.rect));
@@ -303,7 +305,10 @@ impl Canvas {
             return line(if whole { &caption } else { kind }, color);
         }
         if let (Some(has), Some((output, _))) = (scene.recorded, &self.shapes[node].output) {
-            return line(if has(output) { text!("canvas-recorded") } else { text!("canvas-not-recorded") }, theme::muted());
+            return line(
+                if has(output) { text!("canvas-recorded") } else { text!("canvas-not-recorded") },
+                theme::muted(),
+            );
         }
         let Some(c) = scene.counters.nodes.get(this.id()) else { return };
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
@@ -453,7 +458,8 @@ mod tests {
         let picture = Rect::from_min_size(pos2(10.0, 10.0), vec2(100.0, 60.0));
         let size = vec2(40.0, 12.0);
         for (x, y) in [(10.0, 10.0), (90.0, 11.0), (105.0, 40.0), (10.0, 66.0), (60.0, 69.0)] {
-            let label = Rect::from_min_size(label_at(Rect::from_min_size(pos2(x, y), vec2(5.0, 4.0)), size, picture), size);
+            let label =
+                Rect::from_min_size(label_at(Rect::from_min_size(pos2(x, y), vec2(5.0, 4.0)), size, picture), size);
             assert!(picture.expand(0.01).contains_rect(label), "{x} {y}: {label:?}");
         }
         let above = label_at(Rect::from_min_size(pos2(30.0, 40.0), vec2(20.0, 20.0)), size, picture);

@@ -58,9 +58,11 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
             section(ui, text!("mistakes-faults"));
         }
         for fault in counters.fault_list.iter().rev().take(100) {
+            let known = !counters.faults.contains_key(&fault.node);
+            let color = if known { theme::muted() } else { theme::warn() };
             let place = text!("mistakes-at", seconds = decimal(fault.run_ms / 1e3, 1), node = &fault.node);
             let message = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
-            if row(ui, theme::warn(), &place, &message) {
+            if row(ui, color, &place, &message) {
                 go = Some(Spot { node: Some(fault.node.clone()), line: None });
             }
         }

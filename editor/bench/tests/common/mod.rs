@@ -9,7 +9,7 @@ mod shared;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use eframe::egui::{Key, Modifiers, Ui, vec2};
+use eframe::egui::{Key, Modifiers, Shape, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::{App, Options};
@@ -157,6 +157,33 @@ impl Window {
             let status = app.session().status();
             !status.busy && *status.running == **app.document().runnable()
         });
+    }
+
+    /// All texts that the last frame drew, as they stand on the screen: shortened ones end with an ellipsis.
+    pub fn painted(&self) -> Vec<String> {
+        fn collect(shape: &Shape, found: &mut Vec<String>) {
+            match shape {
+                Shape::Vec(shapes) => shapes.iter().for_each(|shape| collect(shape, found)),
+                Shape::Text(text) => {
+                    let rows = text.galley.rows.iter().map(|row| row.glyphs.iter().map(|g| g.chr).collect::<String>());
+                    found.push(rows.collect::<Vec<_>>().join(" "));
+                }
+                _ => {}
+            }
+        }
+        let mut found = Vec::new();
+        self.harness.output().shapes.iter().for_each(|clipped| collect(&clipped.shape, &mut found));
+        found
+    }
+
+    /// Draws frames until a text is on the screen.
+    pub fn until_painted(&mut self, text: &str) {
+        let until = Instant::now() + PATIENCE;
+        while !self.painted().iter().any(|painted| painted.contains(text)) {
+            assert!(Instant::now() < until, "`{text}` is not drawn: {:#?}", self.painted());
+            self.harness.step();
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 
     /// Names of the nodes that run.

@@ -59,9 +59,7 @@ pub fn wires_by_name(view: &GraphView, node: usize) -> Vec<NewWire> {
 /// The wires by which a node supplies unconnected inputs of another one whose names its outputs have.
 pub fn wires_to(view: &GraphView, from: usize, to: usize) -> Vec<NewWire> {
     let fits = |input: &String| view.check_wire(from, input, to, input).is_ok();
-    let wire = |input: String| {
-        (Output::new(view.nodes[from].id(), &input), (view.nodes[to].id().to_owned(), input))
-    };
+    let wire = |input: String| (Output::new(view.nodes[from].id(), &input), (view.nodes[to].id().to_owned(), input));
     free_inputs(view, to).into_iter().filter(fits).map(wire).collect()
 }
 

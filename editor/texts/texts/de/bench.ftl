@@ -22,6 +22,26 @@ top-save = Speichern
 top-redo = Wiederholen
 top-undo = Rückgängig
 top-again = Neu starten
+top-record = Aufzeichnen
+    .stop = Aufzeichnung beenden
+top-look = Ansicht
+top-run = Lauf
+top-menu = Weitere Knöpfe, weil das Fenster schmal ist
+state-unfinished = { $count ->
+    [0] noch nicht fertig: ein Knoten hat nichts zu lesen
+    [one] noch nicht fertig: 1 Eingang ist nicht verbunden
+   *[other] noch nicht fertig: { $count } Eingänge sind nicht verbunden
+}
+state-unfinished-runs = { $count ->
+    [0] noch nicht fertig; der letzte gültige Graph läuft weiter
+    [one] noch nicht fertig: 1 Eingang ist nicht verbunden; der letzte gültige Graph läuft weiter
+   *[other] noch nicht fertig: { $count } Eingänge sind nicht verbunden; der letzte gültige Graph läuft weiter
+}
+state-recorded = zeigt die Aufzeichnung { $file }; der Graph läuft weiter
+state-over = { $count ->
+    [one] 1 Bild
+   *[other] { $count } Bilder
+} in { $seconds } s, { $rate } Bilder/s
 state-name = Zustand: { $state }
 state-disk-full = Datenträger voll: „{ $node }“ schreibt nicht mehr
 state-bypassed = „{ $node }“ ist nach einer Störung überbrückt
@@ -175,6 +195,13 @@ done-arranged = { $count ->
    *[other] { $count } Knoten sind geordnet
 }
 done-arranged-already = alle Knoten sind schon geordnet
+need-own-machine = der Graph läuft auf einer anderen Maschine: dort aufzeichnen
+need-valid = der Graph hat Fehler: nur ein laufender Graph wird aufgezeichnet
+done-acknowledged = { $count ->
+    [0] es gibt keine Störung
+    [one] 1 Störung ist zur Kenntnis genommen
+   *[other] { $count } Störungen sind zur Kenntnis genommen
+}
 need-two-nodes = zum Ausrichten mindestens zwei Knoten wählen
 need-recording = zuerst eine Aufzeichnung öffnen: J zeigt die Zeitleiste
 need-recorded-graph = kein Knoten dieses Graphen ist in der Aufzeichnung: den aufgezeichneten Graphen öffnen

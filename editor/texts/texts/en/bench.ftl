@@ -22,6 +22,26 @@ top-save = Save
 top-redo = Redo
 top-undo = Undo
 top-again = Run again
+top-record = Record
+    .stop = End recording
+top-look = Look
+top-run = Run
+top-menu = More buttons, because the window is narrow
+state-unfinished = { $count ->
+    [0] unfinished: a node has nothing to read
+    [one] unfinished: 1 input is not connected
+   *[other] unfinished: { $count } inputs are not connected
+}
+state-unfinished-runs = { $count ->
+    [0] unfinished; the last valid graph keeps running
+    [one] unfinished: 1 input is not connected; the last valid graph keeps running
+   *[other] unfinished: { $count } inputs are not connected; the last valid graph keeps running
+}
+state-recorded = shows the recording { $file }; the graph runs on
+state-over = { $count ->
+    [one] 1 frame
+   *[other] { $count } frames
+} in { $seconds } s, { $rate } fps
 state-name = State: { $state }
 state-disk-full = the disk is full: `{ $node }` has stopped writing
 state-bypassed = `{ $node }` is bypassed after a fault
@@ -175,6 +195,13 @@ done-arranged = { $count ->
    *[other] { $count } nodes are arranged
 }
 done-arranged-already = all nodes are arranged already
+need-own-machine = the graph runs on another machine: record it there
+need-valid = the graph has mistakes: only a graph that runs can be recorded
+done-acknowledged = { $count ->
+    [0] there is no fault to acknowledge
+    [one] 1 fault is acknowledged
+   *[other] { $count } faults are acknowledged
+}
 need-two-nodes = select at least two nodes to align
 need-recording = open a recording first: J shows the timeline
 need-recorded-graph = no node of this graph is in the recording: open the graph that was recorded
