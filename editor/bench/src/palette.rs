@@ -108,6 +108,8 @@ fn commands() -> impl Iterator<Item = Entry> {
     actions::ALL.iter().filter(|(action, ..)| *action != Action::Commands).map(|(action, _, _, name)| Entry {
         name: texts::plain(name).to_owned(),
         side: actions::key_name(*action),
+        // Found by its English name in every language.
+        words: format!("{action:?}"),
         color: theme::accent(),
         ..Entry::new(Picked::Perform(*action))
     })

@@ -78,6 +78,9 @@ fn by_words(typed: &[String], synonyms: &[Vec<&str>], name: &str, words: &str) -
 /// consecutive letters.
 fn by_letters(typed: &str, text: &str) -> Option<i32> {
     let text: Vec<char> = text.to_lowercase().chars().collect();
+    if typed.trim().is_empty() {
+        return Some(0);
+    }
     let (mut at, mut score, mut run) = (0, 0, 0);
     for letter in typed.to_lowercase().chars().filter(|c| !c.is_whitespace()) {
         let found = (at..text.len()).find(|&i| text[i] == letter)?;
@@ -156,7 +159,7 @@ mod tests {
     #[test]
     fn candidates_without_match_are_skipped() {
         assert_eq!(by_letters("xyz", "rectify"), None);
-        assert_eq!(ranked("", &[("a", ""), ("b", "")]), [0, 1]);
+        assert_eq!(ranked("", &[("a name that is much longer than the others", ""), ("b", "")]), [0, 1]);
         assert!(ranked("q", &[("a", "none"), ("b", "")]).is_empty());
     }
 }

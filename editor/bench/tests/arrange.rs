@@ -97,17 +97,6 @@ fn a_node_added_by_key_is_laid_out_with_the_others() {
     assert!(at(&window, "pass") > at(&window, "b"), "it reads `b`, so it is behind it");
     assert_eq!(overlaps(&window), []);
     assert_eq!(under(&window), Vec::<String>::new());
-    // Where the user points, it stays.
-    let free = window.app().canvas().rect.max - vec2(40.0, 40.0);
-    (0..2).for_each(|_| {
-        crate::common::input::tap(&mut window.harness, free);
-    });
-    window.until_shown("Palette");
-    window.type_text("pass");
-    window.until_shown("Pick pass");
-    window.key(NONE, Key::Enter);
-    window.steps(3);
-    assert!(window.app().document().text().contains("pass_2 = { x = "), "{}", window.app().document().text());
 }
 
 #[test]

@@ -10,10 +10,12 @@ use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Height of a window that the list of keys leaves free, points.
-const KEYS_MARGIN: f32 = 120.0;
-/// Height of a row of the list of keys, and width of a column, points.
+const KEYS_MARGIN: f32 = 110.0;
+/// Height of a row of the list of keys, points.
 const KEYS_ROW: f32 = 24.0;
-const KEYS_COLUMN: f32 = 400.0;
+/// Least width of a column of it, and of its keys.
+const KEYS_COLUMN: f32 = 380.0;
+const KEYS_NAMES: f32 = 130.0;
 
 impl App {
     /// Shows the dialogs that are open.
@@ -64,14 +66,19 @@ impl App {
                 egui::ScrollArea::vertical().max_height(most).min_scrolled_height(most).show(ui, |ui| {
                     ui.horizontal_top(|ui| {
                         for (side, part) in all.chunks(all.len().div_ceil(columns)).enumerate() {
-                            egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
+                            let words = room.x / columns as f32 - KEYS_NAMES - 4.0 * theme::STEP;
+                            egui::Grid::new(("keys", side)).num_columns(2).spacing([16.0, 3.0]).show(ui, |ui| {
+                                ui.spacing_mut().interact_size.y = 0.0;
                                 for (key, description) in part {
-                                    ui.label(RichText::new(key).color(theme::accent()));
-                                    ui.label(*description);
+                                    ui.label(RichText::new(key).size(12.5).color(theme::accent()));
+                                    ui.scope(|ui| {
+                                        ui.set_max_width(words);
+                                        ui.add(egui::Label::new(RichText::new(*description).size(12.5)).wrap());
+                                    });
                                     ui.end_row();
                                 }
                             });
-                            ui.add_space(6.0 * theme::STEP);
+                            ui.add_space(3.0 * theme::STEP);
                         }
                     })
                 });

@@ -294,15 +294,17 @@ impl Canvas {
     fn paint_footer(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
         let this = &scene.view.nodes[node];
         let font = self.font(11.0);
+        if let Some((caption, color)) = problem_of(scene, node).filter(|_| self.shapes[node].picture.is_none()) {
+            return self.paint_problem(painter, rect, &caption, color);
+        }
         let line = |caption: &str, color| {
             let galley = elided(painter, caption, font.clone(), color, rect.width());
             painter.galley(pos2(rect.left(), rect.center().y - galley.size().y / 2.0), galley, color);
         };
-        if let Some((caption, color)) = problem_of(scene, node) {
-            // The words are in the place of the picture, where there is one.
-            let whole = self.shapes[node].picture.is_none();
+        if let Some((_, color)) = problem_of(scene, node) {
+            // The words are in the place of the picture.
             let kind = if color == theme::muted() { text!("canvas-unfinished") } else { text!("canvas-mistake") };
-            return line(if whole { &caption } else { kind }, color);
+            return line(kind, color);
         }
         if let (Some(has), Some((output, _))) = (scene.recorded, &self.shapes[node].output) {
             return line(

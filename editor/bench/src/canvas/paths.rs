@@ -4,6 +4,7 @@ use eframe::egui::{Pos2, Rect};
 
 use super::Canvas;
 use super::curve::{bow, flattened_to, rounded};
+use super::interaction::Drag;
 use super::shape::PICTURES;
 use panoscope_editor_model::graph_view::{GraphView, Wire};
 use panoscope_editor_model::layout::{Ends, Obstacles};
@@ -31,6 +32,8 @@ pub(super) struct Paths {
     pub wires: Vec<Path>,
     places: Vec<Pos2>,
     layout: u64,
+    /// Whether nodes were dragged meanwhile.
+    dragged: bool,
     scale: f32,
 }
 
@@ -61,9 +64,13 @@ impl Ground<'_> {
 }
 
 impl Canvas {
+    /// What wires must not pass under. Nodes that are being dragged are not among it, so that one can be dropped on a wire.
     fn ground(&self) -> Ground<'_> {
         let frames: Vec<(&str, Rect)> = self.frames.iter().map(|(id, rect)| (id.as_str(), *rect)).collect();
-        let nodes = self.places.iter().zip(&self.shapes).map(|(at, shape)| Rect::from_min_size(*at, shape.size));
+        let dragged = matches!(self.drag, Drag::Nodes { .. });
+        let nodes = self.ids.iter().zip(self.places.iter().zip(&self.shapes)).map(|(id, (at, shape))| {
+            if dragged && self.selected.contains(id) { Rect::NAN } else { Rect::from_min_size(*at, shape.size) }
+        });
         let all = nodes.chain(frames.iter().map(|(_, rect)| *rect));
         let obstacles = Obstacles::new(all.map(|rect| (rect.min.into(), rect.size().into())));
         Ground { obstacles, nodes: self.places.len(), frames: frames.into_iter().map(|(id, _)| id).collect() }
@@ -73,14 +80,16 @@ impl Canvas {
     pub(super) fn follow_places(&mut self, view: &GraphView) {
         let place = |id: &String| self.positions.get(id).copied().unwrap_or_default();
         self.places = self.ids.iter().map(place).collect();
-        if self.paths.layout == self.layouts && self.paths.places == self.places {
+        let dragged = matches!(self.drag, Drag::Nodes { .. });
+        let is_same = self.paths.layout == self.layouts && self.paths.dragged == dragged;
+        if is_same && self.paths.places == self.places {
             return;
         }
         let ground = self.ground();
-        let before = if self.paths.layout == self.layouts { &self.paths.wires[..] } else { &[] };
+        let before = if is_same { &self.paths.wires[..] } else { &[] };
         let wires = view.wires.iter().enumerate();
         let wires = wires.map(|(n, wire)| self.path(view, wire, &ground, before.get(n))).collect();
-        self.paths = Paths { wires, places: self.places.clone(), layout: self.layouts, scale: 0.0 };
+        self.paths = Paths { wires, places: self.places.clone(), layout: self.layouts, dragged, scale: 0.0 };
     }
 
     /// The path of a wire: as the layout has it where that passes under nothing, else around what is in the way. A path around nodes is kept from

@@ -175,7 +175,7 @@ impl TimelinePanel {
 /// Shows a field for a file, a button that takes it, and one that lists files; returns the file when it is taken, `None` in it for the list.
 fn file_row(ui: &mut Ui, file: &mut String, (name, caption, browse): (&str, &str, &str)) -> Option<Option<PathBuf>> {
     ui.horizontal(|ui| {
-        let field = ui.add(TextEdit::singleline(file).hint_text("file.mcap").desired_width(360.0));
+        let field = ui.add(TextEdit::singleline(file).id_salt(name).hint_text("file.mcap").desired_width(360.0));
         ui.ctx().accesskit_node_builder(field.id, |node| node.set_label(name));
         let entered = field.lost_focus() && ui.input(|i| i.key_pressed(eframe::egui::Key::Enter));
         let pressed = ui.add_enabled(!file.trim().is_empty(), Button::new(caption)).clicked();

@@ -16,7 +16,7 @@ use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme;
 
 /// Space for the graph's name and the state of the run, points.
-const STATE: f32 = 300.0;
+const STATE: f32 = 260.0;
 
 /// A button of the bar.
 struct Item {
@@ -102,8 +102,8 @@ pub fn show(
         ui.scope_builder(UiBuilder::new().max_rect(left).layout(Layout::left_to_right(Align::Center)), |ui| {
             ui.set_clip_rect(left.intersect(ui.clip_rect()));
             ui.style_mut().wrap_mode = Some(TextWrapMode::Truncate);
-            ui.label(RichText::new(&document.view().name).size(15.0).strong());
-            if document.is_changed() {
+            words(ui, RichText::new(&document.view().name).size(15.0).strong());
+            if document.is_changed() && has_room(ui) {
                 ui.label(RichText::new(text!("top-changed")).size(11.5).color(theme::accent()))
                     .on_hover_text(text!("top-changed.hint"));
             }
@@ -144,6 +144,18 @@ fn run_items(document: &Document, status: &Status, item: impl Fn(Action, &str, b
 fn button(ui: &mut Ui, item: &Item) -> bool {
     let button = Button::new(&item.caption).selected(item.selected).frame_when_inactive(item.selected);
     ui.add_enabled(item.enabled, button).on_hover_text(actions::hint(item.action)).clicked()
+}
+
+/// Whether there is space for a word.
+fn has_room(ui: &Ui) -> bool {
+    ui.available_width() > 32.0
+}
+
+/// Shows words, cut where there is no space, and none where there is nearly none.
+fn words(ui: &mut Ui, words: RichText) {
+    if has_room(ui) {
+        ui.label(words);
+    }
 }
 
 /// Width of a button with its distance to the next one, points.
@@ -190,15 +202,18 @@ fn state(ui: &mut Ui, document: &Document, (status, counters, recorded): (&Statu
         Phase::Ended => (theme::muted(), text!("state-ended").to_owned()),
         Phase::Failed(why) => (theme::fault(), why.clone()),
     };
+    if ui.available_width() < 12.0 {
+        return;
+    }
     let (rect, dot) = ui.allocate_exact_size(vec2(10.0, 10.0), Sense::hover());
     ui.painter().circle_filled(rect.center(), 4.0, color);
     dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, text!("state-name", state = &caption)));
-    ui.label(RichText::new(&caption).size(12.0).color(theme::muted()));
+    words(ui, RichText::new(&caption).size(12.0).color(theme::muted()));
     if let (Phase::Ended | Phase::Failed(_), Some(over), None) = (&status.phase, counters.over, recorded) {
         let count = usize::try_from(over.frames).unwrap_or(usize::MAX);
         let rate = decimal(over.frames as f64 / over.seconds.max(1e-3), 1);
         let caption = text!("state-over", count = count, seconds = decimal(over.seconds, 1), rate = rate);
-        ui.label(RichText::new(caption).size(12.0));
+        words(ui, RichText::new(caption).size(12.0));
     }
     if status.phase == Phase::Running && recorded.is_none() {
         let fps = counters.nodes.values().map(|n| n.fps).fold(0.0, f64::max);
@@ -211,6 +226,6 @@ fn state(ui: &mut Ui, document: &Document, (status, counters, recorded): (&Statu
         if drops > 0 {
             caption += &format!("  ·  {}", text!("state-drops", count = drops));
         }
-        ui.label(RichText::new(caption).size(12.0));
+        words(ui, RichText::new(caption).size(12.0));
     }
 }

@@ -41,19 +41,37 @@ pub fn arrange_all(doc: &mut Document) -> Result<usize, EditError> {
     Ok(placed.len())
 }
 
-/// The wires that give each unconnected input of a node an output of the same name that fits. Of several producers the one with most of the names
-/// counts, then the last one in the file.
+/// The wires that give each unconnected input of a node an output of the same name that fits. Of several producers the one latest in the flow counts:
+/// what was made of a source's outputs, and not those themselves; then the one with most of the names, then the last one in the file.
 pub fn wires_by_name(view: &GraphView, node: usize) -> Vec<NewWire> {
-    let free = free_inputs(view, node);
+    let (free, depth) = (free_inputs(view, node), depths(view));
     let gives = |from: usize| free.iter().filter(|input| view.check_wire(from, input, node, input).is_ok()).count();
-    let mut producers: Vec<(usize, usize)> = (0..view.nodes.len()).map(|from| (gives(from), from)).collect();
-    producers.retain(|(count, from)| *count > 0 && *from != node);
+    let mut producers: Vec<(usize, usize, usize)> =
+        (0..view.nodes.len()).filter(|from| *from != node).map(|from| (depth[from], gives(from), from)).collect();
+    producers.retain(|(_, count, _)| *count > 0);
     producers.sort_by(|a, b| b.cmp(a));
     let wire = |input: &String| {
-        let (_, from) = producers.iter().find(|(_, from)| view.check_wire(*from, input, node, input).is_ok())?;
+        let (.., from) = producers.iter().find(|(.., from)| view.check_wire(*from, input, node, input).is_ok())?;
         Some((Output::new(view.nodes[*from].id(), input), (view.nodes[node].id().to_owned(), input.clone())))
     };
     free.iter().filter_map(wire).collect()
+}
+
+/// Number of nodes before each one on the longest path from a source. Loops count once around at most.
+fn depths(view: &GraphView) -> Vec<usize> {
+    let mut depth = vec![0; view.nodes.len()];
+    for _ in 0..view.nodes.len() {
+        let mut changed = false;
+        for wire in view.wires.iter().filter(|wire| !wire.delayed) {
+            let after = (depth[wire.from] + 1).min(view.nodes.len());
+            changed |= depth[wire.to] < after;
+            depth[wire.to] = depth[wire.to].max(after);
+        }
+        if !changed {
+            break;
+        }
+    }
+    depth
 }
 
 /// The wires by which a node supplies unconnected inputs of another one whose names its outputs have.
