@@ -143,6 +143,10 @@ fn nodes_that_a_recording_lacks_say_so_and_no_time_is_that_of_the_running_graph(
     assert!(lacking >= 2, "the picture and the line below it: {painted:#?}");
     assert!(painted.iter().any(|text| text == "recorded"), "{painted:#?}");
     assert!(!painted.iter().any(|text| text.contains(" · p99")), "times of the running graph: {painted:#?}");
+    assert!(
+        !painted.iter().any(|text| text.ends_with(" s old")),
+        "a recording that stands still is not old: {painted:#?}"
+    );
     window.harness.get_by_label("Close recording").click();
     window.until_painted(" · p99");
 }

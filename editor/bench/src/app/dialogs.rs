@@ -12,7 +12,7 @@ use panoscope_editor_widgets::theme;
 /// Height of a window that the list of keys leaves free, points.
 const KEYS_MARGIN: f32 = 110.0;
 /// Height of a row of the list of keys, points.
-const KEYS_ROW: f32 = 24.0;
+const KEYS_ROW: f32 = 21.0;
 /// Least width of a column of it, and of its keys.
 const KEYS_COLUMN: f32 = 380.0;
 const KEYS_NAMES: f32 = 130.0;
@@ -67,7 +67,8 @@ impl App {
                     ui.horizontal_top(|ui| {
                         for (side, part) in all.chunks(all.len().div_ceil(columns)).enumerate() {
                             let words = room.x / columns as f32 - KEYS_NAMES - 4.0 * theme::STEP;
-                            egui::Grid::new(("keys", side)).num_columns(2).spacing([16.0, 3.0]).show(ui, |ui| {
+                            let grid = egui::Grid::new(("keys", side)).num_columns(2).spacing([16.0, 3.0]);
+                            grid.min_row_height(16.0).show(ui, |ui| {
                                 ui.spacing_mut().interact_size.y = 0.0;
                                 for (key, description) in part {
                                     ui.label(RichText::new(key).size(12.5).color(theme::accent()));

@@ -203,7 +203,8 @@ impl Canvas {
                 let fit = (frame.width() / size.x).min(frame.height() / size.y);
                 let inner = Rect::from_center_size(frame.center(), size * fit);
                 let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-                let stale = scene.shown.stale(output);
+                // A recording that stands still shows no old pictures.
+                let stale = scene.shown.stale(output).filter(|_| scene.recorded.is_none());
                 painter.image(
                     texture,
                     inner,

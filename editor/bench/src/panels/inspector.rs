@@ -18,6 +18,7 @@ use panoscope_editor_model::graph_view::{GraphView, NodeView, PartView, without_
 use panoscope_editor_model::idle;
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_model::probe::Probe;
+use panoscope_editor_model::problems::{action_name, cause_name};
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, format_time};
@@ -284,14 +285,13 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView, requests: &mut Vec
     }
     if let Some(fault) = counters.faults.get(this.id()) {
         section(ui, text!("node-fault"));
-        let done = format!("{:?}", fault.done).to_lowercase();
         let words = without_name(&fault.words, this.id());
         ui.add(Label::new(RichText::new(words).size(12.0).color(theme::warn())).wrap());
         let caption = text!(
             "node-fault-is",
-            cause = format!("{:?}", fault.cause),
+            cause = cause_name(fault.cause),
             count = c.faults.max(fault.count),
-            done = done
+            done = action_name(fault.done)
         );
         ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
         if ui.button(text!("node-fault.seen")).on_hover_text(actions::hint(Action::Acknowledge)).clicked() {

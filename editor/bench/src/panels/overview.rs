@@ -80,7 +80,8 @@ fn about(ui: &mut Ui, text: &str) {
     let first = first_sentence(text);
     let shown = if whole { text } else { first };
     ui.horizontal_wrapped(|ui| {
-        ui.spacing_mut().item_spacing.x = 0.0;
+        ui.spacing_mut().item_spacing = vec2(0.0, 0.0);
+        ui.spacing_mut().interact_size.y = 0.0;
         for (n, part) in shown.split('`').enumerate() {
             // Between a pair of backticks.
             if n % 2 == 0 {
@@ -108,12 +109,18 @@ fn about(ui: &mut Ui, text: &str) {
     }
 }
 
-/// A text up to its first full stop outside of a command.
+/// A text up to the end of its first sentence: a full stop outside of commands and brackets, before a capital letter.
 fn first_sentence(text: &str) -> &str {
-    let mut in_command = false;
+    let (mut in_command, mut brackets) = (false, 0i32);
     let end = text.char_indices().find(|(at, c)| {
-        in_command ^= *c == '`';
-        *c == '.' && !in_command && text[at + 1..].starts_with(' ')
+        match c {
+            '`' => in_command = !in_command,
+            '(' => brackets += 1,
+            ')' => brackets -= 1,
+            _ => {}
+        }
+        let next = text[at + c.len_utf8()..].strip_prefix(' ').and_then(|rest| rest.chars().next());
+        *c == '.' && !in_command && brackets <= 0 && next.is_some_and(|next| next.is_uppercase() || next == '`')
     });
     end.map_or(text, |(at, _)| &text[..=at])
 }
@@ -194,6 +201,7 @@ mod tests {
         assert_eq!(first_sentence("One. Two."), "One.");
         assert_eq!(first_sentence("Run `a. b` first. Then."), "Run `a. b` first.");
         assert_eq!(first_sentence("No end"), "No end");
+        assert_eq!(first_sentence("Wide (thesis, fig. 2.3. And 4). More."), "Wide (thesis, fig. 2.3. And 4).");
         assert_eq!(first_sentence("Version 1.2 of it. More"), "Version 1.2 of it.");
     }
 }

@@ -9,7 +9,7 @@ mod shared;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use eframe::egui::{Key, Modifiers, Shape, Ui, vec2};
+use eframe::egui::{Key, Modifiers, Rect, Shape, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::{App, Options};
@@ -161,12 +161,17 @@ impl Window {
 
     /// All texts that the last frame drew, as they stand on the screen: shortened ones end with an ellipsis.
     pub fn painted(&self) -> Vec<String> {
-        fn collect(shape: &Shape, found: &mut Vec<String>) {
+        self.painted_at().into_iter().map(|(text, _)| text).collect()
+    }
+
+    /// As [`Self::painted`], each with its rectangle in the window.
+    pub fn painted_at(&self) -> Vec<(String, Rect)> {
+        fn collect(shape: &Shape, found: &mut Vec<(String, Rect)>) {
             match shape {
                 Shape::Vec(shapes) => shapes.iter().for_each(|shape| collect(shape, found)),
                 Shape::Text(text) => {
                     let rows = text.galley.rows.iter().map(|row| row.glyphs.iter().map(|g| g.chr).collect::<String>());
-                    found.push(rows.collect::<Vec<_>>().join(" "));
+                    found.push((rows.collect::<Vec<_>>().join(" "), text.visual_bounding_rect()));
                 }
                 _ => {}
             }
