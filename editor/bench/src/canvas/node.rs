@@ -56,12 +56,7 @@ impl Canvas {
         let share = counters.map_or(0.0, |c| (c.p50_ms * c.fps / 1e3) as f32);
         let fill = if scene.heat { theme::heat(share) } else { theme::raised() };
         let problem = problem_of(scene, node);
-        let stroke = match (&problem, selected, hovered) {
-            (Some((_, color)), ..) => Stroke::new(2.0, *color),
-            (_, true, _) => Stroke::new(2.0, theme::accent()),
-            (_, _, true) => Stroke::new(1.0, theme::muted()),
-            _ => Stroke::new(1.0, theme::line()),
-        };
+        let stroke = edge(problem.as_ref().map(|(_, color)| *color), selected, hovered);
         if scale < PICTURES {
             plain_node(far, rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family);
             if rect.height() > LINE && rect.width() > 2.5 * MIN_TEXT {
@@ -105,10 +100,11 @@ impl Canvas {
             let at = pos2(light.x - 12.0 * scale - caption.size().x, line - caption.size().y / 2.0);
             painter.galley(at, caption, theme::muted());
         }
-        match (self.picture_rect(node, rect), &problem) {
-            (Some(frame), Some((words, color))) => self.paint_problem(painter, frame, words, *color),
-            (Some(frame), None) => self.paint_picture(painter, scene, node, frame),
-            (None, _) => {}
+        if let Some(frame) = self.picture_rect(node, rect) {
+            match &problem {
+                Some((words, color)) => self.paint_problem(painter, frame, words, *color),
+                None => self.paint_picture(painter, scene, node, frame),
+            }
         }
         if scale >= DETAIL {
             self.paint_pins(painter, node, near);
@@ -425,6 +421,16 @@ fn min_score(view: &GraphView, nodes: &[&str]) -> f32 {
         value.as_float().or(value.as_integer().map(|v| v as f64)).map(|v| v as f32)
     };
     nodes.iter().filter_map(of).fold(0.0, f32::max)
+}
+
+/// The edge of a node: in the colour of its problem, else by whether it is selected or under the pointer.
+fn edge(problem: Option<Color32>, selected: bool, hovered: bool) -> Stroke {
+    match problem {
+        Some(color) => Stroke::new(2.0, color),
+        None if selected => Stroke::new(2.0, theme::accent()),
+        None if hovered => Stroke::new(1.0, theme::muted()),
+        None => Stroke::new(1.0, theme::line()),
+    }
 }
 
 /// Why a node does not run, without its name, and the colour of that: gray while it only waits to be connected.

@@ -67,10 +67,11 @@ impl Canvas {
         curves
     }
 
-    /// A number for the output that a wire leaves, the same for all its wires.
+    /// The number of the output that a wire leaves among all outputs that are read: the same for all its wires.
     pub(super) fn net(&self, wire: &Wire) -> usize {
+        let before: usize = self.outputs.iter().take(wire.from).map(Vec::len).sum();
         let outputs = self.outputs.get(wire.from);
-        wire.from + outputs.and_then(|outputs| outputs.iter().position(|o| *o == wire.output)).unwrap_or(0)
+        before + outputs.and_then(|outputs| outputs.iter().position(|o| *o == wire.output)).unwrap_or(0)
     }
 
     /// Distance of a wire from the middle of the bundle that the wires of its node form.

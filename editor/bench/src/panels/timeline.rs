@@ -50,20 +50,7 @@ impl TimelinePanel {
         recording: Option<&Path>,
     ) -> Option<TimelineRequest> {
         let Some(timeline) = timeline else {
-            let about = match recording {
-                Some(file) => text!("record-runs", file = file.display().to_string()),
-                None => text!("timeline-about").to_owned(),
-            };
-            ui.label(RichText::new(about).color(theme::muted()));
-            let caption = if recording.is_some() { text!("record-stop") } else { text!("record-start") };
-            if ui.button(caption).on_hover_text(actions::hint(Action::Record)).clicked() {
-                return Some(TimelineRequest::Record);
-            }
-            let names = (text!("timeline-file"), text!("timeline-file.open"), text!("timeline-file.browse"));
-            return file_row(ui, &mut self.file, names).map(|picked| match picked {
-                Some(path) => TimelineRequest::Open(path),
-                None => TimelineRequest::Browse(Target::Timeline),
-            });
+            return self.closed(ui, recording);
         };
         let mut request = None;
         let position = timeline.position();
@@ -155,6 +142,24 @@ impl TimelinePanel {
             }
         });
         request
+    }
+
+    /// Shows the panel without a recording: opens one, or makes one.
+    fn closed(&mut self, ui: &mut Ui, recording: Option<&Path>) -> Option<TimelineRequest> {
+        let about = match recording {
+            Some(file) => text!("record-runs", file = file.display().to_string()),
+            None => text!("timeline-about").to_owned(),
+        };
+        ui.label(RichText::new(about).color(theme::muted()));
+        let caption = if recording.is_some() { text!("record-stop") } else { text!("record-start") };
+        if ui.button(caption).on_hover_text(actions::hint(Action::Record)).clicked() {
+            return Some(TimelineRequest::Record);
+        }
+        let names = (text!("timeline-file"), text!("timeline-file.open"), text!("timeline-file.browse"));
+        file_row(ui, &mut self.file, names).map(|picked| match picked {
+            Some(path) => TimelineRequest::Open(path),
+            None => TimelineRequest::Browse(Target::Timeline),
+        })
     }
 
     /// Arrow keys on the slider go from tick to tick; by themselves they would move it by a point, which is less.
