@@ -46,6 +46,8 @@ pub enum Action {
     Note,
     /// Align the selected nodes.
     Align,
+    /// Arrange the selected nodes along the flow, or all nodes.
+    Arrange,
     /// Open the selected part, or fold it.
     OpenPart,
     /// Make a part of the selected nodes.
@@ -74,8 +76,12 @@ pub enum Action {
     Snapshot,
     /// Show mistakes and faults.
     Problems,
+    /// Take faults that are mended out of the picture.
+    Acknowledge,
     /// Show the timeline of a recording.
     Timeline,
+    /// Record the run from its start, or end the recording and show it.
+    Record,
     /// Play the recording, or pause it.
     Play,
     /// One tick back in the recording.
@@ -174,6 +180,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Frame, NONE, Key::G, named("action-frame")),
         (Note, NONE, Key::O, named("action-note")),
         (Align, NONE, Key::L, named("action-align")),
+        (Arrange, Modifiers::SHIFT, Key::A, named("action-arrange")),
         (OpenPart, NONE, Key::E, named("action-open-part")),
         (MakePart, NONE, Key::K, named("action-make-part")),
         (Dissolve, Modifiers::SHIFT, Key::K, named("action-dissolve")),
@@ -188,7 +195,9 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (States, NONE, Key::R, named("action-states")),
         (Snapshot, Modifiers::SHIFT, Key::R, named("action-snapshot")),
         (Problems, NONE, Key::M, named("action-problems")),
+        (Acknowledge, Modifiers::SHIFT, Key::M, named("action-acknowledge")),
         (Timeline, NONE, Key::J, named("action-timeline")),
+        (Record, Modifiers::SHIFT, Key::J, named("action-record")),
         (Play, NONE, Key::Q, named("action-play")),
         (TickBack, NONE, Key::Comma, named("action-tick-back")),
         (TickForward, NONE, Key::Period, named("action-tick-forward")),

@@ -35,6 +35,8 @@ pub struct Arrangement {
     pub covered: f32,
     /// Pairs of nodes that overlap.
     pub overlaps: usize,
+    /// Wires that pass under a node, each with the node.
+    pub under: Vec<String>,
 }
 
 impl Arrangement {
@@ -53,8 +55,15 @@ impl Arrangement {
                 Panel::top("top").exact_size(BAR).show(ui, |_| {});
                 Panel::right("side").frame(Frame::NONE).exact_size(SIDE).show(ui, |_| {});
                 CentralPanel::no_frame().show(ui, |ui| {
-                    let scene =
-                        Scene { view, counters: &counters, shown: &shown, heat: false, running: false, problem: None };
+                    let scene = Scene {
+                        view,
+                        counters: &counters,
+                        shown: &shown,
+                        heat: false,
+                        running: false,
+                        problem: None,
+                        recorded: None,
+                    };
                     canvas.show(ui, &scene, 1);
                 });
             });
@@ -75,6 +84,7 @@ impl Arrangement {
             used: rects.iter().copied().reduce(|a, b| a.union(b)).map_or(0.0, area),
             covered: rects.iter().map(|rect| area(*rect)).sum(),
             overlaps: rects.iter().enumerate().map(overlapping).sum(),
+            under: canvas.wires_under_nodes(view),
         }
     }
 
@@ -88,6 +98,7 @@ impl Arrangement {
             "used_pct": self.used * 100.0,
             "covered_pct": self.covered * 100.0,
             "overlaps": self.overlaps,
+            "wires_under_nodes": self.under,
         })
     }
 }

@@ -1,10 +1,12 @@
 //! The palette: a search field with a list, to add a node, connect the selected one, find one, or find any command or parameter by keyboard.
 
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use eframe::egui::{
-    Align, Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, TextWrapMode, Ui,
-    WidgetInfo, WidgetType, vec2,
+    Align, Align2, Color32, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense,
+    TextWrapMode, Ui, WidgetInfo, WidgetType, vec2,
 };
 use panoscope_editor_texts as texts;
 use panoscope_editor_texts::text;
@@ -13,21 +15,22 @@ use panoscope_host::loader::Loader;
 
 use crate::actions::{self, Action};
 use crate::panels::inspector::candidates;
-use crate::search;
+use crate::search::{self, Candidate};
 use panoscope_editor_model::document::{Document, default_value};
+use panoscope_editor_model::examples::{self, PartFile};
 use panoscope_editor_model::graph_view::{GraphView, NodeView};
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::ops::{self, PendingWire};
+use panoscope_editor_model::ops::{self, NewWire, PendingWire};
 use panoscope_editor_widgets::theme;
 use panoscope_engine::sync::lock;
 
 /// What the palette is open for.
 #[derive(Clone, Debug)]
 pub enum Purpose {
-    /// Adding a node at a position, for the end of a wire if there is one.
+    /// Adding a node, for the end of a wire if there is one.
     Add {
-        /// Position of the new node.
-        at: (f32, f32),
+        /// Position of the new node, where the user pointed at one.
+        at: Option<(f32, f32)>,
         /// The existing end of the wire.
         pending: Option<PendingWire>,
     },
@@ -46,9 +49,13 @@ pub enum Purpose {
 #[derive(Clone, Debug)]
 pub enum Picked {
     /// A type for a new node, its position and the end of its wire.
-    Add(Arc<NodeType>, (f32, f32), Option<PendingWire>),
+    Add(Arc<NodeType>, Option<(f32, f32)>, Option<PendingWire>),
+    /// The file of a part for a new node, and its position.
+    AddPart(PathBuf, Option<(f32, f32)>),
     /// An input (node, input) and its output.
     Connect(String, String, Output),
+    /// Several wires at once.
+    ConnectAll(Vec<NewWire>),
     /// A node to go to.
     Go(String),
     /// An action to perform.
@@ -57,29 +64,43 @@ pub enum Picked {
     Param(String, String),
 }
 
-/// All node types of this machine. They are loaded on a thread of their own, because loading plugins takes time.
+/// What can be added to a graph: all node types of this machine, and parts. Gathered on a separate thread, because loading plugins takes time.
 #[derive(Clone, Default)]
-pub struct Types(Arc<Mutex<Option<TypeList>>>);
+pub struct Types(Arc<Mutex<Option<Arc<Offers>>>>);
 
-type TypeList = Arc<Vec<Arc<NodeType>>>;
+#[derive(Default)]
+struct Offers {
+    types: Vec<Arc<NodeType>>,
+    parts: Vec<PartFile>,
+    /// How often graphs use a type or part.
+    uses: HashMap<String, usize>,
+}
 
 impl Types {
-    /// Loads them and then calls `done`.
-    pub fn gather(&self, loader: Arc<Loader>, done: impl Fn() + Send + 'static) {
+    /// Gathers them for the graph at `path` and then calls `done`.
+    pub fn gather(&self, loader: Arc<Loader>, path: &Path, done: impl Fn() + Send + 'static) {
         let place = Arc::clone(&self.0);
+        let (folder, folders) = (path.parent().unwrap_or(Path::new("")).to_owned(), examples::folders(path));
         let gather = move || {
             let names: Vec<String> = loader.found().map(|f| f.note.name.clone()).collect();
             let types = loader.catalog(&names).node_types.into_iter().map(Arc::new).collect();
-            *lock(&place) = Some(Arc::new(types));
+            let mut parts = examples::parts(&folders);
+            parts.iter_mut().for_each(|part| part.path = examples::written(&part.path, &folder));
+            *lock(&place) = Some(Arc::new(Offers { types, parts, uses: examples::uses(&folders) }));
             done();
         };
         // If the thread cannot be started, the list stays empty; the file can still be edited as text.
         let _ = std::thread::Builder::new().name("types".to_owned()).spawn(gather);
     }
 
-    fn get(&self) -> Option<TypeList> {
+    fn get(&self) -> Option<Arc<Offers>> {
         lock(&self.0).clone()
     }
+}
+
+/// The first line of a documentation.
+fn first_line(doc: &str) -> String {
+    doc.lines().next().unwrap_or_default().to_owned()
 }
 
 /// All actions.
@@ -87,9 +108,10 @@ fn commands() -> impl Iterator<Item = Entry> {
     actions::ALL.iter().filter(|(action, ..)| *action != Action::Commands).map(|(action, _, _, name)| Entry {
         name: texts::plain(name).to_owned(),
         side: actions::key_name(*action),
-        doc: format!("Command {action:?}"),
+        // Found by its English name in every language.
+        words: format!("{action:?}"),
         color: theme::accent(),
-        picked: Picked::Perform(*action),
+        ..Entry::new(Picked::Perform(*action))
     })
 }
 
@@ -98,9 +120,10 @@ fn nodes(view: &GraphView) -> impl Iterator<Item = Entry> + '_ {
     view.nodes.iter().map(|n| Entry {
         name: n.id().to_owned(),
         side: n.outline.type_name.clone(),
-        doc: n.node_type.as_ref().and_then(|t| t.doc.lines().next()).unwrap_or_default().to_owned(),
+        doc: n.node_type.as_ref().map(|t| first_line(&t.doc)).unwrap_or_default(),
+        words: n.outline.type_name.clone(),
         color: theme::family(n.family()),
-        picked: Picked::Go(n.id().to_owned()),
+        ..Entry::new(Picked::Go(n.id().to_owned()))
     })
 }
 
@@ -111,9 +134,9 @@ fn params(view: &GraphView) -> impl Iterator<Item = Entry> + '_ {
         Entry {
             name: format!("{}.{}", n.id(), param.name),
             side: format!("{value} {}", param.unit).trim_end().to_owned(),
-            doc: param.doc.lines().next().unwrap_or_default().to_owned(),
+            doc: first_line(&param.doc),
             color: theme::family(n.family()),
-            picked: Picked::Param(n.id().to_owned(), param.name.clone()),
+            ..Entry::new(Picked::Param(n.id().to_owned(), param.name.clone()))
         }
     };
     let of = move |n: &NodeView| -> Vec<Entry> {
@@ -128,8 +151,92 @@ struct Entry {
     /// On the right: type, key or value.
     side: String,
     doc: String,
-    color: eframe::egui::Color32,
+    /// More words by which it is found.
+    words: String,
+    /// How often it is used.
+    uses: usize,
+    color: Color32,
     picked: Picked,
+}
+
+impl Entry {
+    fn new(picked: Picked) -> Self {
+        let (name, side, doc, words) = (String::new(), String::new(), String::new(), String::new());
+        Self { name, side, doc, words, uses: 0, color: theme::muted(), picked }
+    }
+
+    /// A node type.
+    fn of_type(t: &Arc<NodeType>, at: Option<(f32, f32)>, pending: Option<&PendingWire>, uses: usize) -> Self {
+        let ports = t.inputs.iter().chain(&t.outputs);
+        let ports: Vec<String> = ports.map(|port| format!("{} {}", port.name, port.packet.name)).collect();
+        Self {
+            name: t.name.clone(),
+            side: format!("{} · {}", t.family, t.plugin),
+            doc: first_line(&t.doc),
+            words: format!("{} {} {} {}", t.family, t.plugin, ports.join(" "), t.doc),
+            uses,
+            color: theme::family(&t.family),
+            ..Self::new(Picked::Add(Arc::clone(t), at, pending.cloned()))
+        }
+    }
+
+    /// A part.
+    fn of_part(part: &PartFile, at: Option<(f32, f32)>, uses: usize) -> Self {
+        Self {
+            name: part.name.clone(),
+            side: text!("palette-part").to_owned(),
+            doc: part.doc.clone(),
+            words: part.ports.join(" "),
+            uses,
+            color: theme::family("part"),
+            ..Self::new(Picked::AddPart(part.path.clone(), at))
+        }
+    }
+}
+
+/// Wires for a node: first all of them by the names of its ports, then one by one.
+fn wires(document: &Document, node: usize) -> Vec<Entry> {
+    let view = document.view();
+    let id = view.nodes[node].id();
+    let together = |wires: Vec<NewWire>, caption: fn(&str, &str) -> String, to: &str| {
+        let ports: Vec<&str> = wires.iter().map(|(_, (_, input))| input.as_str()).collect();
+        let doc: Vec<String> = wires.iter().map(|(from, (node, input))| format!("{from} > {node}.{input}")).collect();
+        let (name, doc) = (caption(&ports.join(", "), to), doc.join("   "));
+        Entry { name, doc, color: theme::accent(), ..Entry::new(Picked::ConnectAll(wires)) }
+    };
+    let mut all = Vec::new();
+    let named = ops::wires_by_name(view, node);
+    if named.len() > 1 {
+        all.push(together(named, |ports, _| text!("palette-by-name", ports = ports), id));
+    }
+    for other in (0..view.nodes.len()).filter(|other| *other != node) {
+        let named = ops::wires_to(view, node, other);
+        if !named.is_empty() {
+            let caption = |ports: &str, to: &str| text!("palette-to", ports = ports, node = to);
+            all.push(together(named, caption, view.nodes[other].id()));
+        }
+    }
+    let inputs = view.nodes[node].node_type.iter().flat_map(|t| &t.inputs);
+    let pairs =
+        inputs.flat_map(|port| candidates(document, node, &port.name).into_iter().map(move |from| (port, from)));
+    all.extend(pairs.map(|(port, from)| Entry {
+        name: text!("palette-from", input = &port.name, output = from.to_string()),
+        side: port.packet.name.clone(),
+        doc: first_line(&port.doc),
+        color: theme::packet(&port.packet.name),
+        ..Entry::new(Picked::Connect(id.to_owned(), port.name.clone(), from))
+    }));
+    all
+}
+
+/// What was found last, and for what.
+struct Found {
+    typed: String,
+    revision: u64,
+    /// Whether node types and parts were known.
+    complete: bool,
+    entries: Vec<Entry>,
+    order: Vec<usize>,
 }
 
 /// The open palette.
@@ -138,48 +245,49 @@ pub struct Palette {
     typed: String,
     chosen: usize,
     fresh: bool,
+    found: Option<Found>,
 }
 
 impl Palette {
     /// Opens the palette.
     pub fn new(purpose: Purpose) -> Self {
-        Self { purpose, typed: String::new(), chosen: 0, fresh: true }
+        Self { purpose, typed: String::new(), chosen: 0, fresh: true, found: None }
     }
 
     fn entries(&self, document: &Document, types: &Types) -> Vec<Entry> {
         let view = document.view();
         match &self.purpose {
             Purpose::Add { at, pending } => {
-                let types = types.get().unwrap_or_default();
+                let offers = types.get().unwrap_or_default();
+                let here = |name: &str| view.flat().nodes.iter().filter(|n| n.outline.type_name == name).count();
+                let uses = |name: &str| offers.uses.get(name).copied().unwrap_or(0) + here(name);
                 let fits = |t: &&Arc<NodeType>| {
                     pending.as_ref().is_none_or(|pending| ops::fitting_port(view, t, pending).is_some())
                 };
-                let entry = |t: &Arc<NodeType>| Entry {
-                    name: t.name.clone(),
-                    side: format!("{} · {}", t.family, t.plugin),
-                    doc: t.doc.lines().next().unwrap_or_default().to_owned(),
-                    color: theme::family(&t.family),
-                    picked: Picked::Add(Arc::clone(t), *at, pending.clone()),
-                };
-                types.iter().filter(fits).map(entry).collect()
+                let nodes = offers.types.iter().filter(fits);
+                let nodes = nodes.map(|t| Entry::of_type(t, *at, pending.as_ref(), uses(&t.name)));
+                let parts = offers.parts.iter().filter(|_| pending.is_none());
+                nodes.chain(parts.map(|part| Entry::of_part(part, *at, uses(&part.name)))).collect()
             }
-            Purpose::Connect { node } => {
-                let Some(index) = view.node(node) else { return Vec::new() };
-                let inputs = view.nodes[index].node_type.iter().flat_map(|t| &t.inputs);
-                let pairs = inputs
-                    .flat_map(|port| candidates(document, index, &port.name).into_iter().map(move |from| (port, from)));
-                let entry = |(port, from): (&panoscope_graph::Port, Output)| Entry {
-                    name: text!("palette-from", input = &port.name, output = from.to_string()),
-                    side: port.packet.name.clone(),
-                    doc: port.doc.lines().next().unwrap_or_default().to_owned(),
-                    color: theme::packet(&port.packet.name),
-                    picked: Picked::Connect(node.clone(), port.name.clone(), from),
-                };
-                pairs.map(entry).collect()
-            }
+            Purpose::Connect { node } => view.node(node).map(|index| wires(document, index)).unwrap_or_default(),
             Purpose::Command => commands().chain(nodes(view)).chain(params(view)).collect(),
             Purpose::Find => nodes(view).collect(),
         }
+    }
+
+    /// What is found by the typed words. It is searched again only when they or the graph have changed.
+    fn search(&mut self, document: &Document, types: &Types) -> Found {
+        let (revision, complete) = (document.revision(), types.get().is_some());
+        let is_same = |f: &Found| f.typed == self.typed && f.revision == revision && f.complete == complete;
+        if let Some(found) = self.found.take().filter(is_same) {
+            return found;
+        }
+        let entries = self.entries(document, types);
+        let words: Vec<String> = entries.iter().map(|e| format!("{} {}", e.doc, e.words)).collect();
+        let candidates = entries.iter().zip(&words);
+        let candidates = candidates.map(|(e, words)| Candidate { name: &e.name, words, uses: e.uses });
+        let order = search::rank(&self.typed, text!("palette-synonyms"), candidates);
+        Found { typed: self.typed.clone(), revision, complete, entries, order }
     }
 
     fn hint(&self) -> &'static str {
@@ -194,8 +302,8 @@ impl Palette {
 
     /// Shows the palette; returns what was picked, or `Some(None)` when it was closed without picking.
     pub fn show(&mut self, ctx: &Context, document: &Document, types: &Types) -> Option<Option<Picked>> {
-        let entries = self.entries(document, types);
-        let order = search::rank(&self.typed, entries.iter().map(|e| (e.name.as_str(), e.doc.as_str())));
+        let found = self.search(document, types);
+        let Found { entries, order, .. } = &found;
         self.chosen = self.chosen.min(order.len().saturating_sub(1));
         let take = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));
         if take(Key::ArrowDown) {
@@ -238,6 +346,7 @@ impl Palette {
                     },
                 );
             });
+        self.found = Some(found);
         if result.is_none() && shown.should_close() { Some(None) } else { result }
     }
 }

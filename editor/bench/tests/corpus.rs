@@ -61,7 +61,24 @@ fn generated() -> Vec<(String, String)> {
         text += &node("all", "ledger", &ends);
         graphs.push((format!("{rows} chains of {length}"), text));
     }
+    let by_hand: Vec<(String, String)> =
+        graphs.iter().map(|(name, text)| (format!("{name}, by hand"), placed_by_hand(text))).collect();
+    graphs.extend(by_hand);
     graphs
+}
+
+/// A graph with positions that have nothing to do with its wires, on a grid with gaps of 32 points and more.
+fn placed_by_hand(text: &str) -> String {
+    let nodes: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("[nodes.")?.strip_suffix(']')).collect();
+    let columns = (nodes.len() as f32).sqrt().ceil() as usize;
+    // Every node somewhere else than its neighbours.
+    let stride = if nodes.len().is_multiple_of(7) { 5 } else { 7 };
+    let place = |(n, id): (usize, &&str)| {
+        let at = n * stride % nodes.len();
+        format!("{id} = {{ x = {}, y = {} }}\n", at % columns * 248 + n % 3 * 8, at / columns * 288 + n % 5 * 8)
+    };
+    let editor: String = nodes.iter().enumerate().map(place).collect();
+    format!("{text}\n[editor]\n{editor}")
 }
 
 fn shipped() -> Vec<(String, PathBuf)> {
@@ -108,8 +125,10 @@ fn graphs_are_legible_and_use_the_window() {
             let small = seen.min_text.is_some_and(|text| text < TEXT) || seen.min_text.is_none();
             // A few nodes that are larger than designed need no more of the window.
             let empty = seen.used < USED && seen.scale < 1.2;
-            if small || empty || seen.overlaps > 0 || seen.nodes == 0 {
-                wrong.push(format!("{line}, {} overlaps", seen.overlaps));
+            // Where nodes are is up to who placed them; where wires run is not.
+            let by_hand = name.ends_with("by hand");
+            if (small || empty) && !by_hand || seen.overlaps > 0 || seen.nodes == 0 || !seen.under.is_empty() {
+                wrong.push(format!("{line}, {} overlaps, under nodes: {:?}", seen.overlaps, seen.under));
             }
         }
     }

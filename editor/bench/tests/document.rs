@@ -69,7 +69,7 @@ fn rewiring_keeps_the_other_keys_of_an_input() {
 fn a_node_is_inserted_into_a_wire() {
     let Some(mut doc) = document(GRAPH) else { return };
     let pass = doc.catalog().node_types.iter().find(|t| t.name == "pass").cloned().expect("a type");
-    let id = ops::add(&mut doc, "", &pass, (8.0, 16.0), None).expect("added");
+    let id = ops::add(&mut doc, "", &pass, Some((8.0, 16.0)), None).expect("added");
     assert!(!doc.view().valid, "it waits for its wire");
     ops::insert(&mut doc, &id, ("sink", "image", 0)).expect("inserted");
     let view = doc.view().clone();
@@ -86,7 +86,7 @@ fn a_node_is_added_with_its_wire_in_one_step() {
     let types = doc.catalog().clone();
     let drain = types.node_types.iter().find(|t| t.name == "drain").expect("a type");
     let pending = PendingWire::Output(Output::new("mean", "image"));
-    let id = ops::add(&mut doc, "", drain, (0.0, 0.0), Some(&pending)).expect("added");
+    let id = ops::add(&mut doc, "", drain, Some((0.0, 0.0)), Some(&pending)).expect("added");
     assert_eq!((id.as_str(), doc.steps()), ("drain", 1));
     let smooth = types.node_types.iter().find(|t| t.name == "smooth").expect("a type");
     assert_eq!(
@@ -99,10 +99,10 @@ fn a_node_is_added_with_its_wire_in_one_step() {
 #[test]
 fn copies_are_wired_among_themselves() {
     let Some(mut doc) = document(GRAPH) else { return };
-    let nodes = ["mean", "sink"].map(|id| (id.to_owned(), (0.0, 0.0)));
+    let nodes = ["mean", "sink"].map(|id| (id.to_owned(), Some((0.0, 0.0))));
     let copies = ops::duplicate(&mut doc, &nodes).expect("copied");
     assert_eq!(copies, ["mean_2", "sink_2"]);
-    let again = ops::duplicate(&mut doc, &[("mean_2".to_owned(), (0.0, 0.0))]).expect("copied");
+    let again = ops::duplicate(&mut doc, &[("mean_2".to_owned(), Some((0.0, 0.0)))]).expect("copied");
     assert_eq!(again, ["mean_3"]);
     let view = doc.view();
     let from = |id: &str| {
@@ -148,12 +148,12 @@ fn nodes_are_copied_into_another_graph_as_text() {
     let text = ops::copy(&doc, &["b".to_owned(), "mean".to_owned()]).expect("copied");
     assert!(text.starts_with("plugins = [\"flow\"]"), "{text}");
     let Some(mut other) = document("# Empty.\n") else { return };
-    assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b", "mean"]);
-    assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b_2", "mean_2"]);
+    assert_eq!(ops::paste(&mut other, &text, Some((0.0, 0.0))).expect("pasted"), ["b", "mean"]);
+    assert_eq!(ops::paste(&mut other, &text, None).expect("pasted"), ["b_2", "mean_2"]);
     assert!(other.text().contains("inputs = { image = \"b_2.image\" }"), "{}", other.text());
     valid_and_undone(other, "# Empty.\n");
     let Some(mut doc) = document(GRAPH) else { return };
-    assert!(ops::paste(&mut doc, "no graph at all", (0.0, 0.0)).is_err());
+    assert!(ops::paste(&mut doc, "no graph at all", None).is_err());
     assert_eq!(**doc.text(), *GRAPH);
 }
 

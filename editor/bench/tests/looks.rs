@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use crate::common::{Folder, Window, has_plugin, input};
-use eframe::egui::{Key, Modifiers, Rect, vec2};
+use eframe::egui::{Key, Modifiers, Pos2, Rect, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
 use panoscope_editor_golden::{compare, paint};
@@ -33,7 +33,27 @@ fn looks(window: &mut Window, name: &str) {
     window.harness.remove_cursor();
     window.steps(3);
     let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, ground());
-    compare(name, picture, &[]);
+    compare(name, picture, &times(window));
+}
+
+/// Where the window shows times, which differ from run to run: in the bar, below the pictures of nodes, in the panel beside the graph.
+fn times(window: &Window) -> Vec<Rect> {
+    let canvas = window.app().canvas();
+    let footer = canvas.zoom_factor() * 32.0;
+    let rects =
+        canvas.node_rects().into_iter().map(|(_, rect)| rect.with_min_y(rect.bottom() - footer).intersect(canvas.rect));
+    let size = window.harness.ctx.content_rect().size();
+    let bar = Rect::from_min_size(Pos2::ZERO, vec2(480.0, 48.0));
+    let is_time = |text: &str| {
+        text.chars().any(|c| c.is_ascii_digit()) && [" ms", " us", " s"].iter().any(|unit| text.contains(unit))
+    };
+    let beside =
+        window.painted_at().into_iter().filter(|(text, rect)| is_time(text) && rect.left() > canvas.rect.right());
+    let rows = beside.map(|(_, rect)| {
+        let (left, right) = (canvas.rect.right() + 2.0, size.x);
+        Rect::from_x_y_ranges(left..=right, rect.center().y - 10.0..=rect.center().y + 10.0)
+    });
+    rects.chain([bar]).chain(rows).collect()
 }
 
 #[test]
@@ -68,7 +88,9 @@ fn the_editor_matches_the_golden_images() {
     window.steps(3);
     let now = paint(&window.harness.ctx, window.harness.output(), &window.textures, ground());
     let age = Rect::from_min_size(picture.center_top(), vec2(0.0, 48.0)).expand2(vec2(160.0, 0.0));
-    compare("bench_picker", now, &[age]);
+    let mut masked = times(&window);
+    masked.push(age);
+    compare("bench_picker", now, &masked);
 }
 
 /// The compositions of `screen` for views of four shapes, with and without smaller images, on screens of two sizes.

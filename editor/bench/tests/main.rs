@@ -1,10 +1,12 @@
 //! All tests of the package as one program: `cargo nextest` runs each test in a process of its own.
 
 mod arguments;
+mod arrange;
 #[path = "../../../tests/support/attachable.rs"]
 mod attachable;
 mod attached;
 mod begin;
+mod build;
 mod common;
 mod corpus;
 mod docks;

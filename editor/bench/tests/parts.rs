@@ -152,7 +152,7 @@ fn edits_inside_a_part_go_to_its_file_and_undo_spans_files() {
     ops::set_open(&mut doc, "calm", true).expect("opened");
     let opened = doc.text().clone();
     let pass = doc.catalog().node_types.iter().find(|t| t.name == "pass").cloned().expect("a type");
-    let id = ops::add(&mut doc, "calm", &pass, (8.0, 8.0), None).expect("added");
+    let id = ops::add(&mut doc, "calm", &pass, Some((8.0, 8.0)), None).expect("added");
     assert_eq!(id, "calm/pass");
     ops::insert(&mut doc, &id, ("calm/copy", "image", 0)).expect("inserted");
     assert!(doc.view().valid, "{:?}", doc.view().diagnostics);
@@ -170,7 +170,7 @@ fn edits_inside_a_part_go_to_its_file_and_undo_spans_files() {
     );
     assert!(doc.view().valid, "{:?}", doc.view().diagnostics);
     // A copy stays in the part.
-    let copies = ops::duplicate(&mut doc, &[("calm/mean".to_owned(), (0.0, 0.0))]).expect("copied");
+    let copies = ops::duplicate(&mut doc, &[("calm/mean".to_owned(), Some((0.0, 0.0)))]).expect("copied");
     assert_eq!(copies, ["calm/mean_2"]);
     ops::remove(&mut doc, &["calm/mean_2".to_owned(), "calm/copy".to_owned()]).expect("removed");
     assert!(!doc.file_text(&part).expect("the part").contains("copy"));

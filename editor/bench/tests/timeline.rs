@@ -17,14 +17,14 @@ use panoscope_record::{RecordOptions, Recorder, head};
 
 const NONE: Modifiers = Modifiers::NONE;
 
-/// Records a number of ticks of every source.
-fn record(path: &Path, text: &str, file: &Path, ticks: u64) {
+/// Records a number of ticks of every source, and of all other nodes where `all_ports` says so.
+fn record(path: &Path, text: &str, file: &Path, ticks: u64, all_ports: bool) {
     let parsed = GraphText::parse(path, text);
     let loader = Loader::search(&loader::search_path(&[]));
     let catalog = loader.catalog(&parsed.plugins());
     let (graph, _) = check(&parsed, &catalog).into_result().expect("it is right");
     let head = head(&graph, &catalog, &loader, path, text, &[]);
-    let recorder = RecordOptions { file: Some(file.to_owned()), all_ports: true, ..RecordOptions::default() };
+    let recorder = RecordOptions { file: Some(file.to_owned()), all_ports, ..RecordOptions::default() };
     let recorder = Recorder::start(recorder, head).expect("the file can be written");
     let graph_dir = file.parent().expect("a folder").to_owned();
     let options = Options {
@@ -50,7 +50,7 @@ fn a_recording_is_moved_through_and_compared_while_the_graph_runs() {
     let files = ["first.mcap", "second.mcap"].map(|name| folder.0.join(name));
     let other = text.replace("past_weight = 100", "past_weight = 200");
     for (file, text) in files.iter().zip([&text, &other]) {
-        record(&folder.0.join("recorded.toml"), text, file, 50);
+        record(&folder.0.join("recorded.toml"), text, file, 50, true);
     }
     let mut window = Window::run(&folder.write("g.toml", GRAPH));
     let output = Output::new("b", "image");
@@ -116,4 +116,71 @@ fn a_recording_is_moved_through_and_compared_while_the_graph_runs() {
     window.until("the running graph again", |app| app.timeline().is_none() && app.shown_tick(&output).is_some());
     let report = window.close();
     nothing_lost(&folder, &report);
+}
+
+#[test]
+fn nodes_that_a_recording_lacks_say_so_and_no_time_is_that_of_the_running_graph() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("lacking");
+    let file = folder.0.join("sources.mcap");
+    let text = GRAPH.replace("mode = \"live\"", "mode = \"batch\"");
+    record(&folder.0.join("recorded.toml"), &text, &file, 20, false);
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    window.until_painted(" fps");
+    window.key(NONE, Key::J);
+    window.until_shown("Open recording");
+    input::fill(&mut window.harness, "Recording", file.to_str().expect("a path"));
+    window.until_shown("State: shows the recording sources.mcap; the graph runs on");
+    window.steps(3);
+    let has = |node: &str, port: &str| window.app().timeline().expect("open").has(&Output::new(node, port));
+    assert!(has("b", "image") && !has("mean", "image"));
+    window.until_painted("not in the recording");
+    let painted = window.painted();
+    // `mean` has no picture there; `sink` and `kept` show what they read.
+    let lacking = painted.iter().filter(|text| *text == "not in the recording").count();
+    assert!(lacking >= 2, "the picture and the line below it: {painted:#?}");
+    assert!(painted.iter().any(|text| text == "recorded"), "{painted:#?}");
+    assert!(!painted.iter().any(|text| text.contains(" · p99")), "times of the running graph: {painted:#?}");
+    assert!(
+        !painted.iter().any(|text| text.ends_with(" s old")),
+        "a recording that stands still is not old: {painted:#?}"
+    );
+    window.harness.get_by_label("Close recording").click();
+    window.until_painted(" · p99");
+}
+
+#[test]
+fn a_key_records_every_output_and_shows_the_recording() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("records");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    window.key(Modifiers::SHIFT, Key::J);
+    window.until("it is recorded", |app| {
+        let status = app.session().status();
+        status.recording.is_some() && status.phase == panoscope_editor_model::session::Phase::Running
+    });
+    window.until("some ticks", |app| {
+        app.session().handle().engine().is_some_and(|engine| engine.report().nodes["mean"].count > 10)
+    });
+    window.key(Modifiers::SHIFT, Key::J);
+    window.until("the recording is shown", |app| app.timeline().is_some());
+    let timeline = window.app().timeline().expect("it is shown");
+    assert_eq!(timeline.path(), folder.0.join("g.recordings/g_0001.mcap"));
+    let mean = Output::new("mean", "image");
+    assert!(timeline.has(&mean), "{:?}", timeline.ports());
+    window.until("a picture of a node that is no source", |app| app.shown_tick(&mean).is_some());
+    window.until("the graph runs on, without a recording", |app| {
+        let status = app.session().status();
+        status.recording.is_none() && status.phase == panoscope_editor_model::session::Phase::Running
+    });
+    // Found again in the list of files.
+    window.click_until_shown("Close recording", "Open recording");
+    window.harness.get_by_label("List the recordings").click();
+    window.until_painted("g_0001.mcap");
+    window.key(NONE, Key::Enter);
+    window.until("it is open again", |app| app.timeline().is_some());
 }

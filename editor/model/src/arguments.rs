@@ -103,13 +103,19 @@ impl Form {
         self.problems.clear();
     }
 
-    /// Chooses an overlay, or none of them.
-    pub fn choose(&mut self, overlay: &Path, chosen: bool) {
-        self.with.retain(|path| path != overlay);
-        if chosen {
-            self.with.push(overlay.to_owned());
-        }
+    /// Chooses one of [`Self::overlays`], or with `None` the sources that the graph has. They stand for each other, so any other of them is taken
+    /// back; overlays that are not among them stay.
+    pub fn choose(&mut self, overlay: Option<&Path>) {
+        let offered: Vec<PathBuf> = self.overlays.iter().map(|overlay| whole(&overlay.path)).collect();
+        self.with.retain(|path| !offered.contains(&whole(path)));
+        self.with.extend(overlay.map(Path::to_owned));
         self.refresh();
+    }
+
+    /// The offered overlay that is chosen.
+    pub fn chosen(&self) -> Option<&Overlay> {
+        let with: Vec<PathBuf> = self.with.iter().map(|path| whole(path)).collect();
+        self.overlays.iter().find(|overlay| with.contains(&whole(&overlay.path)))
     }
 
     /// Whether there is nothing to ask for.
@@ -174,6 +180,10 @@ impl Form {
         };
         files.into_iter().filter(fits).map(overlay).collect()
     }
+}
+
+fn whole(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }
 
 fn sentence(message: &str, help: &str) -> String {
@@ -296,9 +306,23 @@ mod tests {
         let names: Vec<(&str, &str)> = form.overlays.iter().map(|o| (o.name.as_str(), o.doc.as_str())).collect();
         assert_eq!(names, [("good", "Fine.")]);
         let overlay = form.overlays[0].path.clone();
-        form.choose(&overlay, true);
+        let own = folder.join("mine.toml");
+        std::fs::write(&own, "[args.rate]\ndefault = 20\n").expect("written");
+        form.with.push(own.clone());
+        form.choose(Some(&overlay));
         assert_eq!(form.args[0].default.as_deref(), Some("10"));
-        assert_eq!(form.finish().expect("right").with, [overlay]);
+        assert_eq!(form.finish().expect("right").with, [own.clone(), overlay.clone()]);
+        assert_eq!(form.chosen().map(|overlay| overlay.name.as_str()), Some("good"));
+        // One of those that are offered at a time.
+        std::fs::write(folder.join("sources/better.toml"), "[args.rate]\ndefault = 12\n").expect("written");
+        let mut form = Form::new(&folder.join("g.toml"), text, &GraphOptions::default(), &Loader::default());
+        assert_eq!(form.overlays.len(), 2);
+        form.choose(Some(&overlay));
+        let other = form.overlays.iter().find(|o| o.name == "better").expect("offered").path.clone();
+        form.choose(Some(&other));
+        assert_eq!(form.with, [other]);
+        form.choose(None);
+        assert!(form.with.is_empty() && form.chosen().is_none());
         std::fs::remove_dir_all(folder).expect("removed");
     }
 

@@ -15,6 +15,8 @@ pub struct DetectedBox {
     pub label: String,
     /// Index of the class; determines the colour.
     pub class: u32,
+    /// 0 to 1.
+    pub score: f32,
 }
 
 /// The numbers of a packet.
@@ -102,6 +104,7 @@ fn boxes(list: &Detections<'_>) -> Vec<DetectedBox> {
         share: [item.x_px / width, item.y_px / height, item.width_px / width, item.height_px / height],
         label: format!("{} {:.0} %", labels.get(item.class_index as usize).unwrap_or(&"?"), item.score * 100.0),
         class: item.class_index,
+        score: item.score,
     });
     boxes.filter(|detected| detected.share.iter().all(|v| v.is_finite())).collect()
 }
@@ -147,7 +150,7 @@ mod tests {
         bytes.extend_from_slice(b"hook\nscissors");
         let Content::Boxes(found) = read(&bytes, "detections") else { panic!("no boxes") };
         assert_eq!(found[0].share, [0.25, 0.2, 0.5, 0.5]);
-        assert_eq!(found[0].label, "scissors 87 %");
+        assert_eq!((found[0].label.as_str(), found[0].score), ("scissors 87 %", 0.87));
         // Cut off anywhere it is read without harm.
         for end in 0..bytes.len() {
             read(&bytes[..end], "detections");

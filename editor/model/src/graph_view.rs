@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use panoscope_graph::{Diagnostic, NodeOutline, NodeType, PacketType, Port};
+use panoscope_graph::{Diagnostic, NodeOutline, NodeType, PacketType, Port, Severity};
 
 use crate::mark::Mark;
 use crate::output::{Output, WireEnd};
@@ -105,6 +105,25 @@ pub struct GraphView {
     pub(crate) targets: BTreeMap<(String, String, bool), Vec<(String, String)>>,
 }
 
+/// Codes of errors of a graph that is being built: an input without a wire, and a node that nothing makes run.
+const UNFINISHED: [&str; 2] = ["missing-input", "never-runs"];
+
+/// A message about a node without the node's name, for a place that shows the name already.
+pub fn without_name(message: &str, id: &str) -> String {
+    let local = id.rsplit('/').next().unwrap_or(id);
+    let named = [id, local].map(|name| format!("`{name}`"));
+    let patterns = named.iter().flat_map(|name| {
+        [
+            format!("node {name}: "),
+            format!("{name}: "),
+            format!(" of {name}"),
+            format!(" in {name}"),
+            format!(" at {name}"),
+        ]
+    });
+    patterns.fold(message.to_owned(), |message, pattern| message.replacen(&pattern, "", 1))
+}
+
 /// Keys in `[editor]` for frames and notes; no node can have these names.
 pub(crate) const FRAMES: &str = ":frames";
 pub(crate) const NOTES: &str = ":notes";
@@ -162,6 +181,28 @@ pub enum WireError {
 }
 
 impl GraphView {
+    /// Whether the only errors are inputs that are not connected yet: a graph that is being built.
+    pub fn is_unfinished(&self) -> bool {
+        let mut errors = self.errors().peekable();
+        errors.peek().is_some() && errors.all(|d| UNFINISHED.contains(&d.code))
+    }
+
+    /// Whether the only errors of a node are inputs that are not connected yet.
+    pub fn is_unfinished_at(&self, node: usize) -> bool {
+        let mistakes = &self.nodes[node].mistakes;
+        let is_open = |words: &String| self.errors().any(|d| UNFINISHED.contains(&d.code) && d.message == *words);
+        !mistakes.is_empty() && mistakes.iter().all(is_open)
+    }
+
+    /// Number of inputs that must be connected and are not.
+    pub fn open_inputs(&self) -> usize {
+        self.errors().filter(|d| d.code == UNFINISHED[0]).count()
+    }
+
+    fn errors(&self) -> impl Iterator<Item = &Diagnostic> {
+        self.diagnostics.iter().filter(|d| d.severity == Severity::Error)
+    }
+
     /// Index of the node called `id`.
     pub fn node(&self, id: &str) -> Option<usize> {
         self.nodes.iter().position(|n| n.id() == id)
@@ -271,5 +312,23 @@ impl GraphView {
             return Err(WireError::Loop);
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_beside_a_name_do_not_repeat_it() {
+        let cases = [
+            ("input `image` of `calm/mean` is not connected", "input `image` is not connected"),
+            ("`mean`: no such file", "no such file"),
+            ("node `calm/mean`: no such file", "no such file"),
+            ("input `image` of `sink` is not connected", "input `image` of `sink` is not connected"),
+        ];
+        for (message, expected) in cases {
+            assert_eq!(without_name(message, "calm/mean"), expected);
+        }
     }
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{Engine, NodeWindow, Preview, Window};
+use panoscope_engine::{Engine, NodeReport, NodeWindow, Preview, Window};
 use panoscope_host::attach::Attachment;
 use panoscope_host::attach::message::Wanted;
 use serde::{Deserialize, Serialize};
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 pub use crate::output::{Output, WireEnd};
 use crate::picture::{self, Range, RenderedPacket};
 use crate::probe::{self, Probe, ProbeRequest};
-use crate::session::Handle;
+use crate::session::{Handle, Phase};
 use crate::surface::{self, Painter, Viewpoint};
 use panoscope_engine::sync::lock;
 
@@ -57,6 +57,17 @@ pub struct Counters {
     pub faults: HashMap<String, Fault>,
     /// All recent faults, oldest first.
     pub fault_list: Vec<Fault>,
+    /// The whole run, once it is over: [`Self::nodes`] has then its times, with rates of 0.
+    pub over: Option<Over>,
+}
+
+/// What a run was that is over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Over {
+    /// Ticks of the busiest source.
+    pub frames: u64,
+    /// How long it ran, s.
+    pub seconds: f64,
 }
 
 impl Counters {
@@ -96,6 +107,17 @@ struct Mailbox {
     probe_requests: HashMap<Output, ProbeRequest>,
     probes: HashMap<Output, Probe>,
     counters: Arc<Counters>,
+    /// For each node, the time of the newest fault that the user has acknowledged, ms since 1970.
+    acknowledged: HashMap<String, u64>,
+}
+
+impl Mailbox {
+    /// Takes counters over, without faults that were acknowledged.
+    fn set_counters(&mut self, mut counters: Counters) {
+        let is_known = |fault: &Fault| self.acknowledged.get(&fault.node).is_some_and(|until| fault.unix_ms <= *until);
+        counters.faults.retain(|_, fault| !is_known(fault));
+        self.counters = Arc::new(counters);
+    }
 }
 
 /// The observer's thread and its results.
@@ -156,6 +178,18 @@ impl Observer {
     /// The newest values of pictures.
     pub fn probes(&self) -> HashMap<Output, Probe> {
         lock(&self.mailbox).probes.clone()
+    }
+
+    /// Takes the newest fault of a node, or of all nodes, out of the counters until there is another one. Returns how many there were.
+    pub fn acknowledge(&self, node: Option<&str>) -> usize {
+        let mut mailbox = lock(&self.mailbox);
+        let counters = Counters::clone(&mailbox.counters);
+        let faults = counters.faults.values().filter(|fault| node.is_none_or(|node| fault.node == node));
+        let known: Vec<(String, u64)> = faults.map(|fault| (fault.node.clone(), fault.unix_ms)).collect();
+        let count = known.len();
+        mailbox.acknowledged.extend(known);
+        mailbox.set_counters(counters);
+        count
     }
 
     /// The newest counters.
@@ -376,6 +410,29 @@ impl Worker {
         }
     }
 
+    /// The run that is over with the times of its nodes; `None` while it is not.
+    fn ended(&self) -> Option<(Over, BTreeMap<String, NodeWindow>)> {
+        if !matches!(self.handle.status().phase, Phase::Ended | Phase::Failed(_)) {
+            return None;
+        }
+        let report = self.handle.engine()?.report();
+        let node = |(id, of_run): (String, NodeReport)| {
+            let path = report.paths.get(&id);
+            let window = NodeWindow {
+                fps: 0.0,
+                p50_ms: of_run.p50_ms,
+                p99_ms: of_run.p99_ms,
+                age_p50_ms: path.map(|path| path.age_p50_ms),
+                age_p99_ms: path.map(|path| path.age_p99_ms),
+                count: of_run.count,
+                dropped: of_run.dropped,
+                ..NodeWindow::default()
+            };
+            (id, window)
+        };
+        Some((Over { frames: report.frames, seconds: report.seconds }, report.nodes.into_iter().map(node).collect()))
+    }
+
     /// The newest faults, oldest first; `None` if there are no new ones.
     fn new_faults(&mut self) -> Option<Vec<Fault>> {
         if let Some(machine) = self.handle.attachment() {
@@ -389,10 +446,26 @@ impl Worker {
     fn counters(&mut self) -> bool {
         let Some(nodes) = self.readings() else { return false };
         let old = Arc::clone(&lock(&self.mailbox).counters);
+        let over = self.ended();
+        let nodes = match &over {
+            Some((_, of_run)) => {
+                let of_run = of_run.clone().into_iter();
+                // What the report does not have, metrics and restarts, is as it was last.
+                let whole = of_run.map(|(id, run)| match nodes.get(&id) {
+                    Some(last) => {
+                        let (faults, restarts, metrics) = (last.faults, last.restarts, last.metrics.clone());
+                        (id, NodeWindow { faults, restarts, metrics, queues: last.queues.clone(), ..run })
+                    }
+                    None => (id, run),
+                });
+                whole.collect()
+            }
+            None => nodes,
+        };
         if old.nodes == nodes {
             return false;
         }
-        let mut new = Counters { nodes, ..Counters::clone(&old) };
+        let mut new = Counters { nodes, over: over.map(|(over, _)| over), ..Counters::clone(&old) };
         if let Some(faults) = self.new_faults() {
             new.fault_list = faults;
             new.faults = new.fault_list.iter().map(|f| (f.node.clone(), f.clone())).collect();
@@ -417,7 +490,7 @@ impl Worker {
                 history.push_back([at_s, queue.most as f64]);
             }
         }
-        lock(&self.mailbox).counters = Arc::new(new);
+        lock(&self.mailbox).set_counters(new);
         true
     }
 }

@@ -1,5 +1,7 @@
 //! The user's operations on a graph, as edits of its text. Each is one undo step.
 
+mod building;
+
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::edit::{EditError, GraphEdit, OPENED_PARTS};
@@ -11,6 +13,8 @@ use crate::graph_view::{FRAMES, GraphView, NOTES, Wire};
 use crate::history::Origin;
 use crate::mark::Mark;
 use crate::observe::Output;
+
+pub use building::{NewWire, add_part, arrange_all, connect_all, is_placed_by_hand, wires_by_name, wires_to};
 
 /// Sets a parameter; `None` removes it from the file, so that the default applies. Consecutive changes of one parameter are one undo step.
 pub fn set_param(doc: &mut Document, node: &str, param: &str, value: Option<&toml::Value>) -> Result<(), EditError> {
@@ -102,8 +106,9 @@ fn stem(name: &str) -> &str {
     if stem.len() < name.len() && stem.ends_with('_') { stem.trim_end_matches('_') } else { name }
 }
 
-/// Copies nodes beside themselves and returns the names of the copies. Wires between the nodes connect their copies; other wires are copied.
-pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<Vec<String>, EditError> {
+/// Copies nodes and returns the names of the copies: beside the position that is given, else laid out with the others. Wires between the nodes
+/// connect their copies; other wires are copied.
+pub fn duplicate(doc: &mut Document, nodes: &[(String, Option<(f32, f32)>)]) -> Result<Vec<String>, EditError> {
     let view = doc.view().clone();
     let mut copies: Vec<(String, String)> = Vec::new();
     for (id, _) in nodes {
@@ -114,9 +119,11 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
     }
     let copy_of = |id: &str| copies.iter().find(|(old, _)| old == id).map(|(_, new)| new.as_str());
     doc.edit_files(Origin::Hand, "duplicate", None, |files, _| {
-        for ((id, copy), (_, (x, y))) in copies.iter().zip(nodes) {
+        for ((id, copy), (_, at)) in copies.iter().zip(nodes) {
             files.duplicate_node(id, copy.rsplit('/').next().unwrap_or(copy))?;
-            files.root()?.set_position(copy, f64::from(*x + 40.0), f64::from(*y + 40.0));
+            if let Some((x, y)) = at {
+                files.root()?.set_position(copy, f64::from(*x + 40.0), f64::from(*y + 40.0));
+            }
         }
         for wire in &view.wires {
             let (from, to) = (view.nodes[wire.from].id(), view.nodes[wire.to].id());
@@ -149,8 +156,8 @@ pub fn copy(doc: &Document, nodes: &[String]) -> Result<String, EditError> {
     Ok(copied.text())
 }
 
-/// Adds nodes from copied text beside each other from `at` on; returns their names.
-pub fn paste(doc: &mut Document, text: &str, at: (f32, f32)) -> Result<Vec<String>, EditError> {
+/// Adds nodes from copied text, beside each other from `at` on, else laid out with the others; returns their names.
+pub fn paste(doc: &mut Document, text: &str, at: Option<(f32, f32)>) -> Result<Vec<String>, EditError> {
     let view = doc.view().clone();
     let part = GraphEdit::parse(text)?;
     let mut names: Vec<(String, String)> = Vec::new();
@@ -165,7 +172,9 @@ pub fn paste(doc: &mut Document, text: &str, at: (f32, f32)) -> Result<Vec<Strin
         plugins.iter().try_for_each(|plugin| edit.add_plugin(plugin))?;
         edit.paste_nodes(&part, &names)?;
         for (k, (_, new)) in names.iter().enumerate() {
-            edit.set_position(new, f64::from(at.0) + 240.0 * k as f64, f64::from(at.1));
+            if let Some((x, y)) = at {
+                edit.set_position(new, f64::from(x) + 240.0 * k as f64, f64::from(y));
+            }
         }
         Ok(())
     })?;
@@ -300,11 +309,12 @@ pub fn fitting_port(view: &GraphView, node_type: &NodeType, pending: &PendingWir
 }
 
 /// Adds a node to a part, or to the graph where `part` is empty; connects it to the end of a wire if there is one, and returns its whole name.
+/// Without a position it is laid out with the others.
 pub fn add(
     doc: &mut Document,
     part: &str,
     node_type: &NodeType,
-    at: (f32, f32),
+    at: Option<(f32, f32)>,
     pending: Option<&PendingWire>,
 ) -> Result<String, EditError> {
     let view = doc.view().clone();
@@ -317,7 +327,9 @@ pub fn add(
     let port = pending.and_then(|w| Some((w, fitting_port(&view, node_type, w)?)));
     doc.edit_files(Origin::Hand, &format!("add {id}"), None, |files, _| {
         files.add_node(part, &name, &type_name, &node_type.plugin)?;
-        files.root()?.set_position(&id, f64::from(at.0), f64::from(at.1));
+        if let Some((x, y)) = at {
+            files.root()?.set_position(&id, f64::from(x), f64::from(y));
+        }
         match port {
             Some((PendingWire::Output(output), port)) => {
                 let list = node_type.inputs.iter().any(|p| p.name == port && p.list);

@@ -250,14 +250,19 @@ fn try_describe(bytes: &[u8], kind: &str) -> Result<String, PacketError> {
     })
 }
 
-/// The first rows of a table.
+/// The first rows of a table: of the first one each value behind the name of its column, so that values are seen in little space.
 fn table(table: &Table<'_>) -> String {
-    let rows = table.rows();
-    let mut out =
-        format!("{rows} row{}: {}", if rows == 1 { "" } else { "s" }, table.names().collect::<Vec<_>>().join(", "));
-    for row in 0..table.rows().min(8) {
-        let cells = (0..table.columns().min(12)).filter_map(|column| table.value(row, column));
-        let _ = write!(out, "\n{}", cells.map(short).collect::<Vec<_>>().join("  "));
+    let (rows, columns) = (table.rows(), table.columns().min(12));
+    let cells = |row: usize| (0..columns).filter_map(move |column| table.value(row, column)).map(short);
+    let named: Vec<String> = table.names().zip(cells(0)).map(|(name, value)| format!("{name} {value}")).collect();
+    let mut out = match rows {
+        0 => format!("0 rows: {}", table.names().collect::<Vec<_>>().join(", ")),
+        1 => String::new(),
+        _ => format!("{rows} rows\n"),
+    };
+    out += &named.join(", ");
+    for row in 1..rows.min(8) {
+        let _ = write!(out, "\n{}", cells(row).collect::<Vec<_>>().join("  "));
     }
     out
 }
@@ -314,6 +319,16 @@ mod tests {
         bytes[8..12].copy_from_slice(&120i32.to_le_bytes());
         assert_eq!(describe(&bytes, "roi"), "120 x 0 px at 0, 0");
         assert_eq!(describe(b"hello\0\0", "text"), "hello");
+        // Values stand beside the names of their columns.
+        let table = |rows: u32| {
+            let mut bytes: Vec<u8> = [rows, 2, 8, 0].iter().flat_map(|v| v.to_le_bytes()).collect();
+            bytes.extend_from_slice(b"x mm\ny\0\0");
+            bytes.extend((0..2 * rows).flat_map(|v| f64::from(v + 1).to_le_bytes()));
+            describe(&bytes, "table")
+        };
+        assert_eq!(table(1), "x mm 1.00, y 2.00");
+        assert_eq!(table(2), "2 rows\nx mm 1.00, y 2.00\n3.00  4.00");
+        assert_eq!(table(0), "0 rows: x mm, y");
         assert_eq!(
             describe(&[0; 7], "roi"),
             "packet `roi` is truncated: field `y` ends at byte 8, but 7 bytes arrived"

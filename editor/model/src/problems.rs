@@ -118,6 +118,44 @@ fn losses(view: &GraphView, counters: &Counters) -> Vec<Problem> {
         .collect()
 }
 
+/// The kind of a fault.
+pub fn cause_name(cause: Cause) -> &'static str {
+    match cause {
+        Cause::Error => text!("cause-error"),
+        Cause::Panic => text!("cause-panic"),
+        Cause::Hang => text!("cause-hang"),
+        Cause::Open => text!("cause-open"),
+        Cause::BadOutput => text!("cause-output"),
+        Cause::Format => text!("cause-format"),
+        Cause::Size => text!("cause-size"),
+        Cause::NotANumber => text!("cause-number"),
+        Cause::TooMuch => text!("cause-much"),
+        Cause::Exhausted => text!("cause-exhausted"),
+        Cause::CaptureTime => text!("cause-times"),
+        Cause::Silent => text!("cause-silent"),
+        Cause::Slow => text!("cause-slow"),
+        Cause::Leak => text!("cause-leak"),
+        Cause::Recording => text!("cause-recording"),
+        Cause::Release => text!("cause-release"),
+        Cause::Crash => text!("cause-crash"),
+        Cause::Incomplete => text!("cause-incomplete"),
+        Cause::TooOld => text!("cause-old"),
+    }
+}
+
+/// What was done about a fault.
+pub fn action_name(done: Action) -> &'static str {
+    match done {
+        Action::Restart => text!("after-restart"),
+        Action::Abandon => text!("after-abandon"),
+        Action::Bypass => text!("after-bypass"),
+        Action::Stop => text!("after-stop"),
+        Action::End => text!("after-end"),
+        Action::Withhold => text!("after-withhold"),
+        Action::Note => text!("after-note"),
+    }
+}
+
 /// What to do about a fault.
 fn remedy_of(fault: &Fault) -> &'static str {
     match (fault.cause, fault.done) {

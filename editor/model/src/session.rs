@@ -6,6 +6,7 @@
 //! With [`Session::attached`] the graph runs on another machine, and that machine applies the changes.
 
 mod attached;
+mod recording;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -24,6 +25,8 @@ use panoscope_host::loader::{self as loader, Live, Loader};
 use serde::{Deserialize, Serialize};
 
 use crate::trace::Trace;
+use recording::RunRecorder;
+pub use recording::{FinishedRecording, folder as recordings_folder};
 
 /// Maximum time for nodes to finish their files.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -95,6 +98,10 @@ pub struct Status {
     pub tick: u64,
     /// Incremented with every change; previews then subscribe again.
     pub generation: u64,
+    /// The file that the run is recorded to.
+    pub recording: Option<PathBuf>,
+    /// The last recording that is finished.
+    pub recorded: Option<FinishedRecording>,
 }
 
 #[derive(Default)]
@@ -103,6 +110,8 @@ struct Requests {
     /// With a machine: the text that `text` was edited from.
     base: Option<String>,
     restart: bool,
+    /// The file to record the next run to; `Some(None)` for none.
+    record: Option<Option<PathBuf>>,
     reload: bool,
     stop: bool,
     quit: bool,
@@ -181,9 +190,9 @@ impl Session {
     pub fn new(path: &Path, plugin_paths: &[PathBuf], frames: Option<u64>) -> std::io::Result<Self> {
         let shared = Arc::new(Shared::new(path, plugin_paths, frames, None));
         let for_worker = Arc::clone(&shared);
-        let worker = std::thread::Builder::new()
-            .name("changes".to_owned())
-            .spawn(move || Worker { shared: for_worker, live: None, done: true }.run())?;
+        let worker = std::thread::Builder::new().name("changes".to_owned()).spawn(move || {
+            Worker { shared: for_worker, live: None, done: true, recorder: RunRecorder::default() }.run()
+        })?;
         Ok(Self { shared, worker: Some(worker) })
     }
 
@@ -260,6 +269,14 @@ impl Session {
         });
     }
 
+    /// Ends the run, if any, and starts `text` with a recording of every output in `file`; without a file the recording ends.
+    pub fn record(&self, file: Option<&Path>, text: &str) {
+        self.request(|w| {
+            (w.text, w.restart) = (Some(text.to_owned()), true);
+            w.record = Some(file.map(Path::to_owned));
+        });
+    }
+
     /// Ends the run and finishes its files.
     pub fn stop(&self) {
         self.request(|w| w.stop = true);
@@ -333,6 +350,7 @@ struct Worker {
     live: Option<Live<Arc<Engine>>>,
     /// Whether the engine, if any, is closed.
     done: bool,
+    recorder: RunRecorder,
 }
 
 impl Worker {
@@ -349,6 +367,9 @@ impl Worker {
             }
             if requests.reload {
                 self.reload();
+            }
+            if let Some(file) = requests.record {
+                self.recorder.set_file(file);
             }
             if let Some(text) = requests.text {
                 self.apply(&text, requests.restart);
@@ -384,7 +405,10 @@ impl Worker {
         }
         let outcome = live.engine().close(CLOSE_TIMEOUT);
         self.done = true;
+        let recorded = self.recorder.finish();
         self.shared.update(|s| {
+            s.recording = None;
+            s.recorded = recorded.or(s.recorded.take());
             s.phase = match outcome {
                 Outcome::Done => Phase::Ended,
                 Outcome::Failed(reason) => Phase::Failed(reason),
@@ -421,12 +445,17 @@ impl Worker {
             (Err(_), Some(_)) => Phase::Ended,
             (Err(_), None) => Phase::Idle,
         };
+        if phase != Phase::Running {
+            self.recorder.finish();
+        }
+        let recording = self.recorder.file();
+        self.shared.update(|s| s.recording = recording);
         // The phase last: who sees the graph running also sees its text and generation.
         self.report(message, text);
         self.shared.update(|s| s.phase = phase);
     }
 
-    fn open(&self, text: &str) -> Result<(Arc<Engine>, Live<Arc<Engine>>), RunProblem> {
+    fn open(&mut self, text: &str) -> Result<(Arc<Engine>, Live<Arc<Engine>>), RunProblem> {
         let path = &self.shared.path;
         let parsed = GraphText::parse(path, text);
         let folders = loader::search_path(&parsed.plugin_paths());
@@ -444,8 +473,11 @@ impl Worker {
         if let Some(seal) = &seal {
             seal.apply(&mut graph, &catalog).map_err(|error| plain(error.to_string()))?;
         }
+        let recorder = self.recorder.start(|| panoscope_record::head(&graph, &catalog, &loader, path, text, &[]));
+        let recorder = recorder.map_err(|error| plain(error.to_string()))?;
         let options = Options {
             frames: self.shared.frames,
+            observer: recorder.map(|recorder| recorder as _),
             tracer: lock(&self.shared.trace).clone().map(|trace| trace as Arc<dyn Tracer>),
             graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
             // Windows start graphs without being asked: when they open, and after a crash.

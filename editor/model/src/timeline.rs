@@ -150,6 +150,12 @@ impl Timeline {
         &self.ports
     }
 
+    /// Whether an output is recorded.
+    pub fn has(&self, output: &Output) -> bool {
+        let port = output.to_string();
+        self.ports.contains(&port)
+    }
+
     /// Time from the first to the last tick, s.
     pub fn length_s(&self) -> f64 {
         self.ticks_s.last().copied().unwrap_or(0.0)

@@ -28,7 +28,6 @@ const SAME: &[&str] = &[
     "eye-name",
     "form-argument",
     "form-overlay",
-    "form-overlays",
     "help-optional",
     "machine-ended",
     "measure-length",

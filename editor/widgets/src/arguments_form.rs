@@ -69,15 +69,18 @@ fn overlays(ui: &mut Ui, form: &mut Form, style: FormStyle<'_>) {
         return;
     }
     ui.label(RichText::new(text!("form-overlays")).size(style.size).strong());
+    let now = form.chosen().map(|overlay| overlay.path.clone());
+    let own = ui.radio(now.is_none(), RichText::new(text!("form-own")).size(style.size));
+    if own.clicked() {
+        form.choose(None);
+    }
     for overlay in form.overlays.clone() {
-        let same =
-            |path: &std::path::PathBuf| std::fs::canonicalize(path).ok() == std::fs::canonicalize(&overlay.path).ok();
-        let chosen = form.with.iter().find(|path| same(path)).cloned();
-        let mut on = chosen.is_some();
-        let response = ui.checkbox(&mut on, RichText::new(&overlay.name).size(style.size)).on_hover_text(&overlay.doc);
+        let is_chosen = now.as_ref() == Some(&overlay.path);
+        let caption = RichText::new(&overlay.name).size(style.size);
+        let response = ui.radio(is_chosen, caption).on_hover_text(&overlay.doc);
         name(&response, &text!("form-overlay", name = &overlay.name));
-        if response.changed() {
-            form.choose(&chosen.unwrap_or_else(|| overlay.path.clone()), on);
+        if response.clicked() && !is_chosen {
+            form.choose(Some(&overlay.path));
         }
     }
     ui.add_space(2.0 * theme::STEP);

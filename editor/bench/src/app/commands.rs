@@ -75,7 +75,7 @@ impl App {
                         PendingWire::Output(Output::new(&end.node, &end.port))
                     }
                 });
-                self.open_palette(Purpose::Add { at: (at.x, at.y), pending });
+                self.open_palette(Purpose::Add { at: Some((at.x, at.y)), pending });
             }
             CanvasRequest::Report(error) => self.notify(error.to_string(), true),
         }
@@ -114,6 +114,7 @@ impl App {
                 self.try_edit(result);
             }
             InspectorRequest::ViewLarge(output) => self.view_large(output),
+            InspectorRequest::Acknowledge => self.acknowledge(),
             InspectorRequest::Help => self.show_node_help(Some(node)),
             InspectorRequest::Source => self.open_source(Some(node)),
             InspectorRequest::Trace => {
@@ -208,6 +209,7 @@ impl App {
                     self.notify(text!("need-two-nodes"), true);
                 }
             }
+            Action::Arrange => self.arrange(),
             Action::View => self.view(),
             Action::Heat => self.heat ^= true,
             Action::Text => _ = self.docks.toggle(Panel::Text),
@@ -223,6 +225,8 @@ impl App {
             }
             Action::Problems => _ = self.docks.toggle(Panel::Problems),
             Action::Timeline => _ = self.docks.toggle(Panel::Timeline),
+            Action::Record => self.record(),
+            Action::Acknowledge => self.acknowledge(),
             Action::Play | Action::TickBack | Action::TickForward => match &self.timeline {
                 Some(timeline) if action == Action::Play => timeline.play(!timeline.position().plays),
                 Some(timeline) => timeline.step(if action == Action::TickBack { -1 } else { 1 }),
@@ -242,10 +246,7 @@ impl App {
                     self.canvas.selected_wire = None;
                 }
             }
-            Action::Add => {
-                let at = self.canvas.place_for_new();
-                self.open_palette(Purpose::Add { at: (at.x, at.y), pending: None });
-            }
+            Action::Add => self.open_palette(Purpose::Add { at: None, pending: None }),
             Action::Connect => match self.selected() {
                 Some(node) => self.open_palette(Purpose::Connect { node }),
                 None => self.notify(text!("need-one-node"), true),
@@ -300,7 +301,7 @@ impl App {
     fn open_palette(&mut self, purpose: Purpose) {
         if matches!(purpose, Purpose::Add { .. }) {
             let handle = self.session.handle();
-            self.types.gather(self.session.loader(), move || handle.wake());
+            self.types.gather(self.session.loader(), self.document.path(), move || handle.wake());
         }
         self.palette = Some(Palette::new(purpose));
     }
@@ -309,20 +310,30 @@ impl App {
     pub(super) fn pick(&mut self, picked: Picked) {
         match picked {
             Picked::Add(node_type, at, pending) => {
-                let place = eframe::egui::pos2(at.0, at.1);
+                let place = at.map_or_else(|| self.canvas.place_for_new(), |(x, y)| eframe::egui::pos2(x, y));
                 // Beside the node that it is connected to, else where the pointer is.
                 let part = match &pending {
                     Some(PendingWire::Output(output)) => parent(&output.node).to_owned(),
                     Some(PendingWire::Input(node, _)) => parent(node).to_owned(),
                     None => self.canvas.part_at(place),
                 };
-                let at = self.canvas.stored(&format!("{part}/"), place);
-                let at = if part.is_empty() { (place.x, place.y) } else { at };
+                let stored = self.canvas.stored(&format!("{part}/"), place);
+                let at = at.or_else(|| self.place_among(&part)).map(|_| stored);
                 let result = ops::add(&mut self.document, &part, &node_type, at, pending.as_ref());
-                if let Some(id) = self.try_edit(result) {
-                    self.make_room(std::slice::from_ref(&id));
-                    self.canvas.select_only(&id);
-                    self.canvas.keep_in_view(&self.document.view().clone(), self.document.revision(), &id);
+                let added = self.try_edit(result);
+                self.show_added(added);
+            }
+            Picked::AddPart(file, at) => {
+                let at = at.or_else(|| self.place_among(""));
+                let result = ops::add_part(&mut self.document, &file, at);
+                let added = self.try_edit(result);
+                self.show_added(added);
+            }
+            Picked::ConnectAll(wires) => {
+                let result = ops::connect_all(&mut self.document, &wires);
+                if self.try_edit(result).is_some() {
+                    let ends = wires.into_iter().map(|(from, (node, input))| format!("{node}.{input}: {from}"));
+                    self.notify(text!("done-connected", wires = ends.collect::<Vec<_>>().join(", ")), false);
                 }
             }
             Picked::Connect(node, input, from) => {
@@ -339,8 +350,40 @@ impl App {
         }
     }
 
+    /// A position for a new node of a part, or of the graph where `part` is empty; `None` where all of its nodes are laid out automatically.
+    fn place_among(&self, part: &str) -> Option<(f32, f32)> {
+        ops::is_placed_by_hand(self.document.view(), part).then(|| self.canvas.place_for_new().into())
+    }
+
+    /// Selects an added node and moves the view to it.
+    fn show_added(&mut self, added: Option<String>) {
+        let Some(id) = added else { return };
+        self.make_room(std::slice::from_ref(&id));
+        self.canvas.select_only(&id);
+        self.canvas.keep_in_view(&self.document.view().clone(), self.document.revision(), &id);
+    }
+
+    /// Arranges the selected nodes along the flow, or all nodes where fewer than two are selected.
+    fn arrange(&mut self) {
+        let count = if self.canvas.selected.len() > 1 {
+            let places = self.stored(self.canvas.arranged(self.document.view()));
+            let count = places.len();
+            let result = ops::move_nodes(&mut self.document, &places);
+            self.try_edit(result).map(|()| count)
+        } else {
+            let result = ops::arrange_all(&mut self.document);
+            self.canvas.fit();
+            self.try_edit(result)
+        };
+        match count {
+            Some(0) => self.notify(text!("done-arranged-already"), false),
+            Some(count) => self.notify(text!("done-arranged", count = count), false),
+            None => {}
+        }
+    }
+
     /// Moves added nodes so that they do not overlap others, as part of the same undo step.
-    fn make_room(&mut self, added: &[String]) {
+    pub(super) fn make_room(&mut self, added: &[String]) {
         let view = self.document.view().clone();
         let by = self.canvas.offset_to_free_space(&view, self.document.revision(), added);
         if by == Vec2::ZERO {
@@ -376,8 +419,8 @@ impl App {
                     }
                 }
                 Event::Paste(text) => {
-                    let at = self.canvas.middle();
-                    let result = ops::paste(&mut self.document, &text, (at.x, at.y));
+                    let at = self.place_among("").map(|_| self.canvas.middle().into());
+                    let result = ops::paste(&mut self.document, &text, at);
                     if let Some(names) = self.try_edit(result) {
                         self.make_room(&names);
                         self.canvas.selected = names.into_iter().collect();
@@ -454,11 +497,11 @@ impl App {
 
     fn duplicate(&mut self) {
         let canvas = &self.canvas;
-        let nodes: Vec<(String, (f32, f32))> = canvas
-            .selected
-            .iter()
-            .filter_map(|id| Some((id.clone(), canvas.stored(id, canvas.position(id)?))))
-            .collect();
+        let place = |id: &String| {
+            let at = canvas.stored(id, canvas.position(id)?);
+            Some((id.clone(), self.place_among(parent(id)).map(|_| at)))
+        };
+        let nodes: Vec<(String, Option<(f32, f32)>)> = canvas.selected.iter().filter_map(place).collect();
         if nodes.is_empty() {
             return;
         }

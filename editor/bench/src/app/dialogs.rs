@@ -10,7 +10,12 @@ use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Height of a window that the list of keys leaves free, points.
-const KEYS_MARGIN: f32 = 140.0;
+const KEYS_MARGIN: f32 = 110.0;
+/// Height of a row of the list of keys, points.
+const KEYS_ROW: f32 = 21.0;
+/// Least width of a column of it, and of its keys.
+const KEYS_COLUMN: f32 = 380.0;
+const KEYS_NAMES: f32 = 130.0;
 
 impl App {
     /// Shows the dialogs that are open.
@@ -26,7 +31,7 @@ impl App {
         if let Some(files) = &mut self.files
             && let Some(picked) = files.show(ctx)
         {
-            self.take_file(picked);
+            self.take_file(picked, ctx);
         }
         if self.plugins {
             match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
@@ -53,18 +58,28 @@ impl App {
                     (text!("key-double-click"), text!("keys-add")),
                 ];
                 let all: Vec<_> = keys.chain(more.map(|(key, description)| (key.to_owned(), description))).collect();
-                let most = (ctx.content_rect().height() - KEYS_MARGIN).max(200.0);
-                egui::ScrollArea::vertical().max_height(most).show(ui, |ui| {
+                let room = ctx.content_rect().size() - egui::vec2(KEYS_MARGIN, KEYS_MARGIN);
+                let most = room.y.max(200.0);
+                // As many columns as the height needs and the width has space for.
+                let needed = (all.len() as f32 * KEYS_ROW / most).ceil();
+                let columns = needed.min((room.x / KEYS_COLUMN).floor()).max(1.0) as usize;
+                egui::ScrollArea::vertical().max_height(most).min_scrolled_height(most).show(ui, |ui| {
                     ui.horizontal_top(|ui| {
-                        for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
-                            egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
+                        for (side, part) in all.chunks(all.len().div_ceil(columns)).enumerate() {
+                            let words = room.x / columns as f32 - KEYS_NAMES - 4.0 * theme::STEP;
+                            let grid = egui::Grid::new(("keys", side)).num_columns(2).spacing([16.0, 3.0]);
+                            grid.min_row_height(16.0).show(ui, |ui| {
+                                ui.spacing_mut().interact_size.y = 0.0;
                                 for (key, description) in part {
-                                    ui.label(RichText::new(key).color(theme::accent()));
-                                    ui.label(*description);
+                                    ui.label(RichText::new(key).size(12.5).color(theme::accent()));
+                                    ui.scope(|ui| {
+                                        ui.set_max_width(words);
+                                        ui.add(egui::Label::new(RichText::new(*description).size(12.5)).wrap());
+                                    });
                                     ui.end_row();
                                 }
                             });
-                            ui.add_space(6.0 * theme::STEP);
+                            ui.add_space(3.0 * theme::STEP);
                         }
                     })
                 });

@@ -303,6 +303,7 @@ impl App {
         }
         let view = self.document.view().clone();
         let problem = status.problem.as_ref().and_then(|t| Some((t.node.as_deref()?, t.message.as_str())));
+        let has = |output: &Output| self.timeline.as_ref().is_some_and(|timeline| timeline.has(output));
         let scene = Scene {
             view: &view,
             counters,
@@ -310,6 +311,7 @@ impl App {
             heat: self.heat,
             running: status.phase == Phase::Running,
             problem,
+            recorded: self.timeline.as_ref().map(|_| &has as &dyn Fn(&Output) -> bool),
         };
         let requests = self.canvas.show(ui, &scene, self.document.revision());
         requests.into_iter().for_each(|request| self.handle_canvas(request));
@@ -331,10 +333,7 @@ impl App {
         let view = self.document.view().clone();
         let Some(node) = self.selected().and_then(|id| view.node(&id)) else {
             if self.docks.is_shown(Panel::Overview) {
-                ui.label(
-                    RichText::new("Select a node to see what it reads, its values and its times.")
-                        .color(theme::muted()),
-                );
+                ui.label(RichText::new(text!("node-none")).color(theme::muted()));
                 return;
             }
             return self.overview_panel(ui, counters);

@@ -51,7 +51,7 @@ use panoscope_editor_model::numbered::{FolderError, next_file};
 use panoscope_editor_model::observe::{Counters, Observer, Output};
 use panoscope_editor_model::ops::{BypassError, Detour, InsertError};
 use panoscope_editor_model::probe::Probe;
-use panoscope_editor_model::session::{Phase, Session, Status};
+use panoscope_editor_model::session::{FinishedRecording, Phase, Session, Status};
 use panoscope_editor_model::timeline::Timeline;
 use panoscope_editor_model::trace::Trace;
 use panoscope_editor_widgets::OutputCache;
@@ -123,6 +123,8 @@ pub struct App {
     trace_panel: TracePanel,
     timeline: Option<Timeline>,
     timeline_panel: TimelinePanel,
+    /// The newest recording of this window that was shown.
+    shown_recording: Option<FinishedRecording>,
     picker: Option<Picker>,
     files: Option<Files>,
     palette: Option<Palette>,
@@ -232,6 +234,7 @@ impl App {
             trace_panel: TracePanel::default(),
             timeline: None,
             timeline_panel: TimelinePanel::default(),
+            shown_recording: None,
             picker: None,
             files: None,
             palette: None,
@@ -390,6 +393,7 @@ impl App {
         if self.document.history().has_pending() && *status.running == **self.document.runnable() {
             self.document.set_tick(status.tick);
         }
+        self.follow_recording(&ctx, &status);
         self.take_pictures(&ctx);
         self.probes = self.timeline.as_ref().map_or_else(|| self.observer.probes(), |timeline| timeline.probes());
         self.follow_machine();
@@ -464,10 +468,10 @@ impl App {
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
         let counters = self.summed_counters();
         let bar = Frame::new().fill(theme::panel()).inner_margin(Margin::symmetric(16, 8));
-        let actions = Panel::top("top")
-            .frame(bar)
-            .exact_size(44.0)
-            .show(ui, |ui| top::show(ui, &self.document, status, &counters, |action| self.is_on(action)));
+        let actions = Panel::top("top").frame(bar).exact_size(44.0).show(ui, |ui| {
+            let recorded = self.timeline.as_ref().map(Timeline::path);
+            top::show(ui, &self.document, (status, &counters, recorded), |action| self.is_on(action))
+        });
         actions.inner.into_iter().for_each(|action| self.perform(action));
         self.machine_bar(ui);
         self.conflict_bar(ui);

@@ -6,8 +6,12 @@ use std::sync::Arc;
 use eframe::egui::{Context, Ui};
 
 use super::App;
+use crate::panels::files::{Files, Target};
 use crate::panels::timeline::TimelineRequest;
 use crate::viewer::Source;
+use panoscope_editor_model::docks::Panel;
+use panoscope_editor_model::numbered::next_file;
+use panoscope_editor_model::session::{Status, recordings_folder};
 use panoscope_editor_model::timeline::{Timeline, second};
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::OutputCache;
@@ -32,16 +36,87 @@ impl App {
 
     /// Draws the panel.
     pub(super) fn timeline_panel(&mut self, ui: &mut Ui) {
-        match self.timeline_panel.show(ui, self.timeline.as_ref()) {
+        let recording = self.session.status().recording;
+        match self.timeline_panel.show(ui, self.timeline.as_ref(), recording.as_deref()) {
             Some(TimelineRequest::Open(path)) => self.open_recording(&path, ui.ctx()),
+            Some(TimelineRequest::Browse(target)) => {
+                let folder = recordings_folder(self.document.path());
+                let folder = if folder.is_dir() { folder } else { self.folder().to_owned() };
+                self.files = Some(Files::new(target, &folder, ""));
+            }
+            Some(TimelineRequest::Record) => self.record(),
             Some(TimelineRequest::Compare(path)) => self.compare_recordings(Some(&path)),
             Some(TimelineRequest::EndCompare) => self.compare_recordings(None),
-            Some(TimelineRequest::Close) => {
-                self.timeline = None;
-                self.shown = OutputCache::default();
-            }
+            Some(TimelineRequest::Close) => self.close_recording(),
             None => {}
         }
+    }
+
+    /// Records the graph from its start on, or ends the recording.
+    pub(super) fn record(&mut self) {
+        if self.is_attached() {
+            return self.notify(text!("need-own-machine"), true);
+        }
+        if self.session.status().recording.is_some() {
+            self.session.record(None, self.document.runnable());
+            return;
+        }
+        if !self.document.view().valid {
+            return self.notify(text!("need-valid"), true);
+        }
+        let stem = self.document.path().file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        match next_file(&recordings_folder(self.document.path()), &stem, "mcap") {
+            Ok(file) => {
+                // What runs is shown, not the recording before.
+                self.close_recording();
+                self.notify(text!("record-begins", file = file.display().to_string()), false);
+                self.session.record(Some(&file), self.document.runnable());
+            }
+            Err(error) => self.notify(error.to_string(), true),
+        }
+    }
+
+    /// Shows a recording of this window once it is finished.
+    pub(super) fn follow_recording(&mut self, ctx: &Context, status: &Status) {
+        if status.recorded.is_none() || status.recorded == self.shown_recording {
+            return;
+        }
+        self.shown_recording.clone_from(&status.recorded);
+        let Some(recorded) = &status.recorded else { return };
+        let file = recorded.file.display().to_string();
+        let count = usize::try_from(recorded.ticks).unwrap_or(usize::MAX);
+        match &recorded.failed {
+            Some(reason) => self.notify(text!("record-failed", file = file, reason = reason), true),
+            None => self.notify(text!("record-done", file = file, count = count), false),
+        }
+        if recorded.ticks > 0 {
+            self.docks.open(Panel::Timeline);
+            self.open_recording(&recorded.file, ctx);
+        }
+    }
+
+    /// Opens the recording that was picked in the file list.
+    pub(super) fn open_picked(&mut self, target: &Target, path: &str, ctx: &Context) {
+        let folder = recordings_folder(self.document.path());
+        let folder = if folder.is_dir() { folder } else { self.folder().to_owned() };
+        match target {
+            Target::SecondTimeline => self.compare_recordings(Some(&folder.join(path))),
+            _ => self.open_recording(&folder.join(path), ctx),
+        }
+    }
+
+    fn close_recording(&mut self) {
+        if self.timeline.take().is_some() {
+            self.shown = OutputCache::default();
+        }
+    }
+
+    /// Takes the faults of the selected node, or of all nodes, out of the picture.
+    pub(super) fn acknowledge(&mut self) {
+        let node = self.selected();
+        let count = self.observer.acknowledge(node.as_deref());
+        self.summed = None;
+        self.notify(text!("done-acknowledged", count = count), false);
     }
 
     fn open_recording(&mut self, path: &Path, ctx: &Context) {

@@ -4,6 +4,8 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use eframe::egui::text::{CCursor, CCursorRange};
+use eframe::egui::text_edit::TextEditState;
 use eframe::egui::{self, Context, Frame, Key, Margin, RichText, TextEdit};
 use panoscope_editor_texts::text;
 use panoscope_graph::edit::EditError;
@@ -89,6 +91,11 @@ impl App {
             ui.ctx().accesskit_node_builder(field.id, |node| node.set_label(text!("part-name")));
             if !shown {
                 field.request_focus();
+                // The proposed name is replaced by typing.
+                let mut state = TextEditState::load(ui.ctx(), field.id).unwrap_or_default();
+                let all = CCursorRange::two(CCursor::new(0), CCursor::new(name.chars().count()));
+                state.cursor.set_char_range(Some(all));
+                state.store(ui.ctx(), field.id);
             }
             done |= field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter));
             let file = ops::part_file(&self.document, &name);
@@ -104,7 +111,10 @@ impl App {
             let nodes: Vec<String> = self.canvas.selected.iter().cloned().collect();
             let result = ops::make_part(&mut self.document, &nodes, name.trim());
             match self.try_edit(result) {
-                Some(id) => self.canvas.select_only(&id),
+                Some(id) => {
+                    self.make_room(std::slice::from_ref(&id));
+                    self.canvas.select_only(&id);
+                }
                 // The error is shown; another name may do.
                 None if self.consent.is_none() => self.part_name = Some((name, true)),
                 None => {}

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use eframe::egui::{Rect, Ui};
+use eframe::egui::{Context, Rect, Ui};
 
 use super::App;
 use crate::panels::files::{Files, Target};
@@ -80,7 +80,7 @@ impl App {
     }
 
     /// Uses the path that was picked in the file list.
-    pub(super) fn take_file(&mut self, picked: Option<String>) {
+    pub(super) fn take_file(&mut self, picked: Option<String>, ctx: &Context) {
         let (Some(files), Some(path)) = (self.files.take(), picked) else { return };
         match files.target {
             Target::Param { node, param } => {
@@ -94,6 +94,7 @@ impl App {
                 }
             }
             Target::Recording => self.sweep.recording = path,
+            target @ (Target::Timeline | Target::SecondTimeline) => self.open_picked(&target, &path, ctx),
         }
     }
 

@@ -1,6 +1,7 @@
 //! The canvas: draws the graph and handles input on it. Its state is positions, zoom, selection and the current drag. Changes of the graph
 //! are returned as [`CanvasRequest`]s; the canvas does not change the graph itself.
 
+mod arrange;
 mod curve;
 mod frames;
 mod interaction;
@@ -57,6 +58,8 @@ pub struct Scene<'a> {
     pub running: bool,
     /// The node at which the last change failed, with the reason.
     pub problem: Option<(&'a str, &'a str)>,
+    /// While a recording is shown in place of the running graph: whether it has an output.
+    pub recorded: Option<&'a dyn Fn(&Output) -> bool>,
 }
 
 /// The state of the canvas.
@@ -344,7 +347,7 @@ impl Canvas {
         });
         let corners = self.routes.values().flatten().map(|at| Rect::from_min_max(*at, *at));
         let nodes = rects.chain(marks).chain(self.frames.values().copied());
-        let around = self.paths.wires.iter().filter(|path| path.around).map(|path| path.bounds);
+        let around = self.paths.wires.iter().filter(|path| !path.corners.is_empty()).map(|path| path.bounds);
         nodes.chain(corners).chain(around).reduce(|a, b| a.union(b))
     }
 

@@ -5,14 +5,16 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use eframe::egui::emath::GuiRounding as _;
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{
-    Align2, Color32, CornerRadius, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui, pos2,
-    vec2,
+    Align2, Color32, CornerRadius, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui, Vec2,
+    pos2, vec2,
 };
 
 use super::paint::MIN_TEXT;
 use super::shape::{DETAIL, HEADER, PAD, PICTURES, PORTS, Pin};
 use super::{Canvas, Scene};
 use panoscope_editor_model::content::{Content, DetectedBox};
+use panoscope_editor_model::document::default_value;
+use panoscope_editor_model::graph_view::{GraphView, without_name};
 use panoscope_editor_texts::{decimal, text};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme::{self, PinShape};
@@ -53,13 +55,8 @@ impl Canvas {
         let radius = CornerRadius::same((8.0 * scale).clamp(2.0, 12.0) as u8);
         let share = counters.map_or(0.0, |c| (c.p50_ms * c.fps / 1e3) as f32);
         let fill = if scene.heat { theme::heat(share) } else { theme::raised() };
-        let wrong = !this.mistakes.is_empty() || scene.problem.is_some_and(|(n, _)| n == id);
-        let stroke = match (wrong, selected, hovered) {
-            (true, ..) => Stroke::new(2.0, theme::fault()),
-            (_, true, _) => Stroke::new(2.0, theme::accent()),
-            (_, _, true) => Stroke::new(1.0, theme::muted()),
-            _ => Stroke::new(1.0, theme::line()),
-        };
+        let problem = problem_of(scene, node);
+        let stroke = edge(problem.as_ref().map(|(_, color)| *color), selected, hovered);
         if scale < PICTURES {
             plain_node(far, rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family);
             if rect.height() > LINE && rect.width() > 2.5 * MIN_TEXT {
@@ -104,7 +101,10 @@ impl Canvas {
             painter.galley(at, caption, theme::muted());
         }
         if let Some(frame) = self.picture_rect(node, rect) {
-            self.paint_picture(painter, scene, node, frame);
+            match &problem {
+                Some((words, color)) => self.paint_problem(painter, frame, words, *color),
+                None => self.paint_picture(painter, scene, node, frame),
+            }
         }
         if scale >= DETAIL {
             self.paint_pins(painter, node, near);
@@ -149,7 +149,7 @@ impl Canvas {
             if near {
                 let (align, shift) =
                     if pin.input { (Align2::LEFT_CENTER, 10.0) } else { (Align2::RIGHT_CENTER, -10.0) };
-                let color = if pin.missing { theme::fault() } else { theme::muted() };
+                let color = if pin.missing { theme::text() } else { theme::muted() };
                 painter.text(at + vec2(shift * scale, 0.0), align, &pin.name, self.font(11.5), color);
             }
         }
@@ -167,9 +167,12 @@ impl Canvas {
     /// Draws the status light.
     fn paint_light(&self, ui: &Ui, scene: &Scene<'_>, node: usize, at: Pos2) {
         let id = scene.view.nodes[node].id();
-        let fault = scene.counters.faults.get(id);
+        // The graph that runs is not what a recording shows.
+        let is_live = scene.recorded.is_none();
+        let fault = scene.counters.faults.get(id).filter(|_| is_live);
         let color = match fault {
             Some(fault) => fault_color(fault),
+            None if !is_live => theme::line(),
             None if scene.running && scene.counters.nodes.get(id).is_some_and(|c| c.fps > 0.0) => {
                 theme::family("source")
             }
@@ -196,7 +199,8 @@ impl Canvas {
                 let fit = (frame.width() / size.x).min(frame.height() / size.y);
                 let inner = Rect::from_center_size(frame.center(), size * fit);
                 let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-                let stale = scene.shown.stale(output);
+                // A recording that stands still shows no old pictures.
+                let stale = scene.shown.stale(output).filter(|_| scene.recorded.is_none());
                 painter.image(
                     texture,
                     inner,
@@ -204,7 +208,9 @@ impl Canvas {
                     if stale.is_some() { Color32::from_gray(96) } else { Color32::WHITE },
                 );
                 if let Some(Content::Boxes(found)) = scene.shown.packet(output).map(|l| &l.content) {
-                    paint_boxes(painter, inner, found, (scale >= PORTS).then(|| self.font(11.0)));
+                    let least = min_score(scene.view, &[scene.view.nodes[node].id(), &output.node]);
+                    let shown = found.iter().filter(|detected| detected.score >= least);
+                    paint_boxes(painter, inner, shown, (scale >= PORTS).then(|| self.font(11.0)));
                 }
                 if let Some(age) = stale.filter(|_| scene.running && scale >= DETAIL) {
                     let caption = text!("canvas-old", seconds = age.as_secs());
@@ -226,7 +232,9 @@ impl Canvas {
             }
             None => {
                 painter.rect_filled(frame, 4.0 * scale, theme::sunk());
-                let caption = scene.shown.text(output).unwrap_or(packet);
+                let lacks = scene.recorded.is_some_and(|has| !has(below));
+                let caption =
+                    if lacks { text!("canvas-not-recorded") } else { scene.shown.text(output).unwrap_or(packet) };
                 let galley =
                     painter.layout(caption.to_owned(), self.font(11.0), theme::text(), frame.width() - 16.0 * scale);
                 let clipped = painter.with_clip_rect(frame.intersect(self.rect));
@@ -240,7 +248,7 @@ impl Canvas {
         let r = 5.0 * self.scale();
         let color = theme::packet(&pin.packet);
         let (fill, stroke) = if pin.missing {
-            (theme::raised(), Stroke::new(1.5, theme::fault()))
+            (theme::raised(), Stroke::new(1.5, theme::muted()))
         } else {
             (color, Stroke::new(1.5, theme::ground()))
         };
@@ -266,19 +274,47 @@ impl Canvas {
         }
     }
 
+    /// Draws why a node does not run, in the place of its picture.
+    fn paint_problem(&self, painter: &Painter, frame: Rect, words: &str, color: Color32) {
+        let scale = self.scale();
+        painter.rect_filled(frame, 4.0 * scale, theme::sunk());
+        let inside = frame.shrink2(vec2(8.0 * scale, 3.0));
+        let mut job = LayoutJob::simple(words.to_owned(), self.font(11.0), color, inside.width().max(8.0));
+        let font = self.font(11.0);
+        job.wrap.max_rows = (inside.height() / painter.fonts_mut(|fonts| fonts.row_height(&font))).max(1.0) as usize;
+        let galley = painter.layout_job(job);
+        let at = pos2(inside.left(), (inside.center().y - galley.size().y / 2.0).max(inside.top()));
+        painter.with_clip_rect(frame.intersect(self.rect)).galley(at, galley, color);
+    }
+
     /// Draws times and rates, or the node's first error.
     fn paint_footer(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
         let this = &scene.view.nodes[node];
         let font = self.font(11.0);
-        let problem = scene.problem.filter(|(n, _)| *n == this.id()).map(|(_, caption)| caption.to_owned());
-        if let Some(caption) = this.mistakes.first().cloned().or(problem) {
-            let galley = elided(painter, &caption, font, theme::fault(), rect.width());
-            painter.galley(pos2(rect.left(), rect.center().y - galley.size().y / 2.0), galley, theme::fault());
-            return;
+        if let Some((caption, color)) = problem_of(scene, node).filter(|_| self.shapes[node].picture.is_none()) {
+            return self.paint_problem(painter, rect, &caption, color);
+        }
+        let line = |caption: &str, color| {
+            let galley = elided(painter, caption, font.clone(), color, rect.width());
+            painter.galley(pos2(rect.left(), rect.center().y - galley.size().y / 2.0), galley, color);
+        };
+        if let Some((_, color)) = problem_of(scene, node) {
+            // The words are in the place of the picture.
+            let kind = if color == theme::muted() { text!("canvas-unfinished") } else { text!("canvas-mistake") };
+            return line(kind, color);
+        }
+        if let (Some(has), Some((output, _))) = (scene.recorded, &self.shapes[node].output) {
+            return line(
+                if has(output) { text!("canvas-recorded") } else { text!("canvas-not-recorded") },
+                theme::muted(),
+            );
         }
         let Some(c) = scene.counters.nodes.get(this.id()) else { return };
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
-        let rate = text!("canvas-rate", rate = decimal(c.fps, 0));
+        let rate = match scene.counters.over {
+            Some(_) => text!("canvas-ticks", count = c.count),
+            None => text!("canvas-rate", rate = decimal(c.fps, 0)),
+        };
         let mut right = LayoutJob::default();
         if let Some(fault) = scene.counters.faults.get(this.id()) {
             right.append(&format!("{}  ", faults_in_words(fault, c.faults.max(1))), 0.0, plain(fault_color(fault)));
@@ -306,7 +342,7 @@ impl Canvas {
         );
         // The longest text that fits.
         let p50 = format_time(c.p50_ms);
-        let lefts = match c.fps > 0.0 {
+        let lefts = match c.fps > 0.0 || scene.counters.over.is_some() && c.count > 0 {
             true => vec![text!("canvas-median", median = &p50, slow = format_time(c.p99_ms)), p50],
             false => vec![text!("canvas-rest").to_owned()],
         };
@@ -345,7 +381,12 @@ fn faults_in_words(fault: &Fault, count: u64) -> String {
 }
 
 /// Draws boxes with their labels in the colours of their classes.
-fn paint_boxes(painter: &Painter, picture: Rect, boxes: &[DetectedBox], font: Option<FontId>) {
+fn paint_boxes<'b>(
+    painter: &Painter,
+    picture: Rect,
+    boxes: impl Iterator<Item = &'b DetectedBox>,
+    font: Option<FontId>,
+) {
     for detected in boxes {
         let [x, y, w, h] = detected.share;
         let at = picture.min + vec2(x * picture.width(), y * picture.height());
@@ -353,12 +394,52 @@ fn paint_boxes(painter: &Painter, picture: Rect, boxes: &[DetectedBox], font: Op
         let color = theme::class(detected.class);
         painter.rect_stroke(rect, 1.0, Stroke::new(1.5, color), StrokeKind::Inside);
         if let Some(font) = font.clone() {
-            let galley = painter.layout_no_wrap(detected.label.clone(), font, theme::on(color));
-            let at = pos2(rect.left(), (rect.top() - galley.size().y).max(picture.top()));
-            painter.rect_filled(Rect::from_min_size(at, galley.size() + vec2(6.0, 0.0)), 1.0, color);
+            let galley = elided(painter, &detected.label, font, theme::on(color), picture.width() - 6.0);
+            let size = galley.size() + vec2(6.0, 0.0);
+            let at = label_at(rect, size, picture);
+            painter.rect_filled(Rect::from_min_size(at, size), 1.0, color);
             painter.galley(at + vec2(3.0, 0.0), galley, theme::on(color));
         }
     }
+}
+
+/// Where the label of a box stands: above the box, else inside it, and never outside of the picture.
+fn label_at(rect: Rect, size: Vec2, picture: Rect) -> Pos2 {
+    let above = rect.top() - size.y;
+    let y = if above >= picture.top() { above } else { rect.top() };
+    let last = picture.max - size;
+    pos2(rect.left().min(last.x).max(picture.left()), y.min(last.y).max(picture.top()))
+}
+
+/// The least score of the boxes that nodes show: the greatest `min_score` that one of them has.
+fn min_score(view: &GraphView, nodes: &[&str]) -> f32 {
+    let of = |id: &&str| {
+        let all = if view.node(id).is_some() { view } else { view.flat() };
+        let node = &all.nodes[all.node(id)?];
+        let param = node.node_type.as_ref()?.params.iter().find(|param| param.name == "min_score")?;
+        let value = node.outline.params.get("min_score").cloned().unwrap_or_else(|| default_value(&param.kind));
+        value.as_float().or(value.as_integer().map(|v| v as f64)).map(|v| v as f32)
+    };
+    nodes.iter().filter_map(of).fold(0.0, f32::max)
+}
+
+/// The edge of a node: in the colour of its problem, else by whether it is selected or under the pointer.
+fn edge(problem: Option<Color32>, selected: bool, hovered: bool) -> Stroke {
+    match problem {
+        Some(color) => Stroke::new(2.0, color),
+        None if selected => Stroke::new(2.0, theme::accent()),
+        None if hovered => Stroke::new(1.0, theme::muted()),
+        None => Stroke::new(1.0, theme::line()),
+    }
+}
+
+/// Why a node does not run, without its name, and the colour of that: gray while it only waits to be connected.
+fn problem_of(scene: &Scene<'_>, node: usize) -> Option<(String, Color32)> {
+    let this = &scene.view.nodes[node];
+    let words = this.mistakes.first().map(String::as_str);
+    let words = words.or(scene.problem.filter(|(n, _)| *n == this.id()).map(|(_, words)| words))?;
+    let color = if scene.view.is_unfinished_at(node) { theme::muted() } else { theme::fault() };
+    Some((without_name(words, this.id()), color))
 }
 
 /// Lays out one line of text, truncated with an ellipsis to `width`.
@@ -375,4 +456,22 @@ fn elided(
     job.wrap.max_rows = 1;
     job.wrap.break_anywhere = true;
     painter.layout_job(job)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_of_boxes_stay_inside_the_picture() {
+        let picture = Rect::from_min_size(pos2(10.0, 10.0), vec2(100.0, 60.0));
+        let size = vec2(40.0, 12.0);
+        for (x, y) in [(10.0, 10.0), (90.0, 11.0), (105.0, 40.0), (10.0, 66.0), (60.0, 69.0)] {
+            let label =
+                Rect::from_min_size(label_at(Rect::from_min_size(pos2(x, y), vec2(5.0, 4.0)), size, picture), size);
+            assert!(picture.expand(0.01).contains_rect(label), "{x} {y}: {label:?}");
+        }
+        let above = label_at(Rect::from_min_size(pos2(30.0, 40.0), vec2(20.0, 20.0)), size, picture);
+        assert_eq!(above, pos2(30.0, 28.0), "above the box where there is space");
+    }
 }

@@ -11,9 +11,7 @@ use panoscope_editor_model::graph_view::{GraphView, Wire};
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
-/// Distance between a backward wire and the nodes above it, points at zoom 1.
-const BELOW: f32 = 20.0;
-/// Distance between the wires of a bundle, and its greatest width.
+/// Distance between the wires of a bundle, and its greatest width, in points at zoom 1.
 const BESIDE: f32 = 5.0;
 const BUNDLE: f32 = 15.0;
 /// Distance from the pointer within which wires are named, in points of the window.
@@ -39,16 +37,21 @@ impl Canvas {
         Some((self.transform() * at, packet))
     }
 
-    /// The curves that a wire consists of, in points of the graph.
-    pub(super) fn curves(&self, view: &GraphView, wire: &Wire) -> Vec<[Pos2; 4]> {
-        let ends = (self.pin_of(wire.from, &wire.output, false), self.pin_of(wire.to, &wire.input, true));
-        let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
+    /// The pins at the ends of a wire, in points of the graph.
+    pub(super) fn ends(&self, wire: &Wire) -> Option<(Pos2, Pos2)> {
+        let ends = self.pin_of(wire.from, &wire.output, false).zip(self.pin_of(wire.to, &wire.input, true));
+        ends.map(|((from, _), (to, _))| (from, to))
+    }
+
+    /// The curves of a wire as the layout has them, in points of the graph; none for a backward wire that the layout gives no path.
+    pub(super) fn curves(&self, wire: &Wire) -> Vec<[Pos2; 4]> {
+        let Some((from, to)) = self.ends(wire) else { return Vec::new() };
         let ends = (wire.from, wire.to);
         let Some(lane) = self.lanes.get(&ends) else {
             return match self.routes.get(&ends) {
                 Some(corners) => self.routed(wire, from, to, corners),
                 None if to.x > from.x => vec![bow(from, to, 1.0)],
-                None => self.around(view, wire, from, to),
+                None => Vec::new(),
             };
         };
         let shift = vec2(0.0, self.beside(wire, BESIDE));
@@ -64,14 +67,11 @@ impl Canvas {
         curves
     }
 
-    /// Whether a wire goes backward and the layout gives it no path.
-    pub(super) fn goes_around(&self, wire: &Wire) -> bool {
-        let ends = (wire.from, wire.to);
-        if self.lanes.contains_key(&ends) || self.routes.contains_key(&ends) {
-            return false;
-        }
-        let pins = self.pin_of(wire.from, &wire.output, false).zip(self.pin_of(wire.to, &wire.input, true));
-        pins.is_some_and(|((from, _), (to, _))| to.x <= from.x)
+    /// The number of the output that a wire leaves among all outputs that are read: the same for all its wires.
+    pub(super) fn net(&self, wire: &Wire) -> usize {
+        let before: usize = self.outputs.iter().take(wire.from).map(Vec::len).sum();
+        let outputs = self.outputs.get(wire.from);
+        before + outputs.and_then(|outputs| outputs.iter().position(|o| *o == wire.output)).unwrap_or(0)
     }
 
     /// Distance of a wire from the middle of the bundle that the wires of its node form.
@@ -93,29 +93,6 @@ impl Canvas {
         }
         path.push(to);
         rounded(&path)
-    }
-
-    /// The path of a backward wire, below the nodes between its ends.
-    fn around(&self, view: &GraphView, wire: &Wire, from: Pos2, to: Pos2) -> Vec<[Pos2; 4]> {
-        let nodes = self.places.iter().zip(&self.shapes);
-        let rects: Vec<Rect> = nodes.map(|(at, shape)| Rect::from_min_size(*at, shape.size)).collect();
-        let bottom = |n: usize| rects.get(n).map_or(f32::MIN, Rect::bottom);
-        // Backward wires are drawn beside each other.
-        let beside = view.wires.iter().filter(|w| w.delayed).position(|w| w == wire).unwrap_or(0);
-        let room = BELOW + (beside % 4) as f32 * 7.0;
-        let mut low = bottom(wire.from).max(bottom(wire.to)) + room;
-        for _ in 0..rects.len() {
-            let between = rects.iter().filter(|r| r.right() > to.x - BELOW && r.left() < from.x + BELOW);
-            let met = between.filter(|r| r.top() - BELOW < low && low < r.bottom() + BELOW);
-            match met.map(Rect::bottom).reduce(f32::max) {
-                Some(bottom) => low = bottom + room,
-                None => break,
-            }
-        }
-        // Down and up between the columns.
-        let (right, left) = (from.x + room, to.x - room);
-        let corners = [from, pos2(right, from.y), pos2(right, low), pos2(left, low), pos2(left, to.y), to];
-        rounded(&corners)
     }
 
     /// Draws the wires. From afar all of them are one mesh of thin lines without smooth edges.

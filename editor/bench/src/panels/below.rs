@@ -10,7 +10,9 @@ use panoscope_graph::Severity;
 
 use super::inspector::section;
 use panoscope_editor_model::document::Document;
+use panoscope_editor_model::graph_view::without_name;
 use panoscope_editor_model::observe::Counters;
+use panoscope_editor_model::problems::action_name;
 use panoscope_editor_model::session::Status;
 use panoscope_editor_widgets::theme;
 
@@ -58,9 +60,11 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
             section(ui, text!("mistakes-faults"));
         }
         for fault in counters.fault_list.iter().rev().take(100) {
+            let known = !counters.faults.contains_key(&fault.node);
+            let color = if known { theme::muted() } else { theme::warn() };
             let place = text!("mistakes-at", seconds = decimal(fault.run_ms / 1e3, 1), node = &fault.node);
-            let message = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
-            if row(ui, theme::warn(), &place, &message) {
+            let message = format!("{} ({})", without_name(&fault.words, &fault.node), action_name(fault.done));
+            if row(ui, color, &place, &message) {
                 go = Some(Spot { node: Some(fault.node.clone()), line: None });
             }
         }

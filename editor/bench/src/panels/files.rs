@@ -7,7 +7,7 @@ use eframe::egui::{
     vec2,
 };
 
-use crate::search;
+use crate::search::{self, Candidate};
 use panoscope_editor_texts::text;
 use panoscope_editor_widgets::theme;
 
@@ -31,6 +31,10 @@ pub enum Target {
     },
     /// The recording for a sweep.
     Recording,
+    /// A recording to show on the nodes.
+    Timeline,
+    /// A second recording beside it.
+    SecondTimeline,
 }
 
 struct Entry {
@@ -119,7 +123,11 @@ impl Files {
     pub fn show(&mut self, ctx: &Context) -> Option<Option<String>> {
         let order = match self.typed.is_empty() {
             true => (0..self.entries.len()).collect(),
-            false => search::rank(&self.typed, self.entries.iter().map(|e| (e.name.as_str(), ""))),
+            false => search::rank(
+                &self.typed,
+                "",
+                self.entries.iter().map(|e| Candidate { name: &e.name, ..Candidate::default() }),
+            ),
         };
         self.chosen = self.chosen.min(order.len().saturating_sub(1));
         let take = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));

@@ -14,10 +14,11 @@ use crate::actions::{self, Action};
 use crate::canvas::Canvas;
 use crate::probing;
 use panoscope_editor_model::document::Document;
-use panoscope_editor_model::graph_view::{GraphView, NodeView, PartView};
+use panoscope_editor_model::graph_view::{GraphView, NodeView, PartView, without_name};
 use panoscope_editor_model::idle;
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_model::probe::Probe;
+use panoscope_editor_model::problems::{action_name, cause_name};
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, format_time};
@@ -58,6 +59,8 @@ pub enum InspectorRequest {
     Open,
     /// Put the part's nodes in its place.
     Dissolve,
+    /// Take its fault out of the picture.
+    Acknowledge,
 }
 
 /// Shows the panel of a node; returns the user's requests.
@@ -79,7 +82,8 @@ pub fn show(
             part_buttons(ui, part, &mut requests);
         }
         for mistake in &this.mistakes {
-            ui.label(RichText::new(mistake).color(theme::fault()));
+            let color = if view.is_unfinished_at(node) { theme::muted() } else { theme::fault() };
+            ui.add(Label::new(RichText::new(without_name(mistake, this.id())).color(color)).wrap());
         }
         why_idle(ui, (view, counters, status), this, &mut requests);
         numbers(ui, counters, this, &mut requests);
@@ -281,15 +285,18 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView, requests: &mut Vec
     }
     if let Some(fault) = counters.faults.get(this.id()) {
         section(ui, text!("node-fault"));
-        let done = format!("{:?}", fault.done).to_lowercase();
-        ui.label(RichText::new(&fault.words).size(12.0).color(theme::warn()));
+        let words = without_name(&fault.words, this.id());
+        ui.add(Label::new(RichText::new(words).size(12.0).color(theme::warn())).wrap());
         let caption = text!(
             "node-fault-is",
-            cause = format!("{:?}", fault.cause),
+            cause = cause_name(fault.cause),
             count = c.faults.max(fault.count),
-            done = done
+            done = action_name(fault.done)
         );
         ui.label(RichText::new(caption).size(11.5).color(theme::muted()));
+        if ui.button(text!("node-fault.seen")).on_hover_text(actions::hint(Action::Acknowledge)).clicked() {
+            requests.push(InspectorRequest::Acknowledge);
+        }
     }
 }
 

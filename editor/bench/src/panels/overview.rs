@@ -1,7 +1,7 @@
 //! The panel of the whole graph, shown while not exactly one node is selected.
 
 use eframe::egui::{
-    Align2, Color32, FontId, Rect, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, pos2, vec2,
+    Align2, Button, Color32, FontId, Rect, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, pos2, vec2,
 };
 
 use super::inspector::section;
@@ -48,7 +48,7 @@ pub fn show(
             }
         } else {
             ui.label(RichText::new(&view.name).size(16.0));
-            ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::muted()));
+            about(ui, &opening(document.text()));
         }
         let mut pins = document.pins().filter(|(node, ..)| Some(*node) != elsewhere).peekable();
         if pins.peek().is_some() {
@@ -70,6 +70,59 @@ pub fn show(
         ages(ui, view, counters, &mut requests);
     });
     requests
+}
+
+/// Shows what a graph is for: its first sentence, and all of it where that is asked for. Commands are in mono type, each with a button that copies
+/// it.
+fn about(ui: &mut Ui, text: &str) {
+    let id = ui.make_persistent_id("about the graph");
+    let whole = ui.data(|data| data.get_temp::<bool>(id)).unwrap_or_default();
+    let first = first_sentence(text);
+    let shown = if whole { text } else { first };
+    ui.horizontal_wrapped(|ui| {
+        ui.spacing_mut().item_spacing = vec2(0.0, 0.0);
+        ui.spacing_mut().interact_size.y = 0.0;
+        for (n, part) in shown.split('`').enumerate() {
+            // Between a pair of backticks.
+            if n % 2 == 0 {
+                ui.label(RichText::new(part).size(12.0).color(theme::muted()));
+                continue;
+            }
+            ui.label(RichText::new(part).monospace().size(11.5));
+            if part.contains(' ') {
+                let copy = ui.small_button(text!("overview-copy"));
+                copy.widget_info(|| {
+                    WidgetInfo::labeled(WidgetType::Button, true, text!("overview-copy.name", command = part))
+                });
+                if copy.clicked() {
+                    ui.ctx().copy_text(part.to_owned());
+                }
+            }
+        }
+    });
+    if first.len() < text.len() {
+        let caption = if whole { text!("overview-less") } else { text!("overview-more") };
+        let more = Button::new(RichText::new(caption).size(11.0).color(theme::accent())).frame(false);
+        if ui.add(more).clicked() {
+            ui.data_mut(|data| data.insert_temp(id, !whole));
+        }
+    }
+}
+
+/// A text up to the end of its first sentence: a full stop outside of commands and brackets, before a capital letter.
+fn first_sentence(text: &str) -> &str {
+    let (mut in_command, mut brackets) = (false, 0i32);
+    let end = text.char_indices().find(|(at, c)| {
+        match c {
+            '`' => in_command = !in_command,
+            '(' => brackets += 1,
+            ')' => brackets -= 1,
+            _ => {}
+        }
+        let next = text[at + c.len_utf8()..].strip_prefix(' ').and_then(|rest| rest.chars().next());
+        *c == '.' && !in_command && brackets <= 0 && next.is_some_and(|next| next.is_uppercase() || next == '`')
+    });
+    end.map_or(text, |(at, _)| &text[..=at])
 }
 
 /// Shows a bar per node: its share of one core.
@@ -137,4 +190,18 @@ fn row(ui: &mut Ui, name: &str, caption: &str, bar: Option<(f32, Color32)>, labe
     painter.text(pos2(rect.left(), middle), Align2::LEFT_CENTER, name, font.clone(), theme::text());
     painter.text(pos2(rect.right(), middle), Align2::RIGHT_CENTER, caption, font, theme::muted());
     row.clicked()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_sentence_ends_outside_of_commands() {
+        assert_eq!(first_sentence("One. Two."), "One.");
+        assert_eq!(first_sentence("Run `a. b` first. Then."), "Run `a. b` first.");
+        assert_eq!(first_sentence("No end"), "No end");
+        assert_eq!(first_sentence("Wide (thesis, fig. 2.3. And 4). More."), "Wide (thesis, fig. 2.3. And 4).");
+        assert_eq!(first_sentence("Version 1.2 of it. More"), "Version 1.2 of it.");
+    }
 }

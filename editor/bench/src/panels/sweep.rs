@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eframe::egui::{
-    Align, Button, ComboBox, Id, Label, Layout, ProgressBar, Response, RichText, ScrollArea, TextEdit, Ui, WidgetInfo,
-    WidgetType, vec2,
+    Align, Button, ComboBox, Id, Label, Layout, PopupCloseBehavior, ProgressBar, Response, RichText, ScrollArea,
+    TextEdit, Ui, WidgetInfo, WidgetType, vec2,
 };
 use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
 use panoscope_base::packet::has_numbers;
@@ -55,6 +55,8 @@ pub struct SweepPanel {
     job: Option<Job>,
     wrong: Option<String>,
     cutout: Cutout,
+    /// What the lists of parameters and of measures are filtered by.
+    filters: [String; 2],
 }
 
 impl Default for SweepPanel {
@@ -70,6 +72,7 @@ impl Default for SweepPanel {
             job: None,
             wrong: None,
             cutout: Cutout::default(),
+            filters: [String::new(), String::new()],
         }
     }
 }
@@ -179,18 +182,12 @@ impl SweepPanel {
         let runs = progress.is_some_and(|p| !p.done);
         ui.spacing_mut().item_spacing.y = theme::STEP;
         row(ui, text!("sweep-parameter"), |ui| {
-            let combo =
-                ComboBox::from_id_salt("sweep param").selected_text(&self.param).width(ui.available_width() - 8.0);
-            let response = combo.show_ui(ui, |ui| {
-                for param in sweepable(document) {
-                    if ui.selectable_label(param == self.param, &param).clicked()
-                        && let Some((node, name)) = param.split_once('.')
-                    {
-                        self.choose(document, node, name);
-                    }
-                }
-            });
-            name(ui, response.response.id, text!("sweep-parameter.name"));
+            let now = self.param.clone();
+            let names = ("sweep param", now.as_str(), text!("sweep-parameter.name"), text!("sweep-parameter.filter"));
+            let chosen = list(ui, names, &mut self.filters[0], &now, || sweepable(document));
+            if let Some((node, name)) = chosen.as_ref().and_then(|param| param.split_once('.')) {
+                self.choose(document, node, name);
+            }
         });
         let (numbers, unit, step) = kind_of(document, &self.param);
         if numbers {
@@ -217,17 +214,15 @@ impl SweepPanel {
             name(ui, field.id, text!("sweep-measure.name"));
         });
         row(ui, "", |ui| {
-            let combo = ComboBox::from_id_salt("sweep measures")
-                .selected_text(text!("sweep-measures"))
-                .width(ui.available_width() - 8.0);
-            let response = combo.show_ui(ui, |ui| {
-                for measure in measures(document, counters, shown) {
-                    if ui.selectable_label(measure == self.measure, &measure).clicked() {
-                        self.measure = measure;
-                    }
-                }
-            });
-            name(ui, response.response.id, text!("sweep-measures.name"));
+            let names = (
+                "sweep measures",
+                text!("sweep-measures"),
+                text!("sweep-measures.name"),
+                text!("sweep-measures.filter"),
+            );
+            let now = self.measure.clone();
+            let chosen = list(ui, names, &mut self.filters[1], &now, || measures(document, counters, shown));
+            self.measure = chosen.unwrap_or(now);
         });
         row(ui, text!("sweep-pictures"), |ui| {
             let width = ui.available_width() - 72.0;
@@ -252,15 +247,27 @@ impl SweepPanel {
                     job.cancel();
                 }
             } else if ui
-                .add_enabled(!self.param.is_empty() && !self.measure.is_empty(), Button::new(text!("sweep-start")))
+                .add_enabled(self.lacks(document).is_none(), Button::new(text!("sweep-start")))
                 .on_hover_text(text!("sweep-start.hint"))
-                .on_disabled_hover_text(text!("sweep-start.disabled"))
                 .clicked()
             {
                 request = Some(self.request(document, path));
             }
         });
+        if let Some(lacks) = self.lacks(document).filter(|_| !runs) {
+            ui.add(Label::new(RichText::new(lacks).size(12.0).color(theme::warn())).wrap());
+        }
         request
+    }
+
+    /// Why the sweep cannot start.
+    fn lacks(&self, document: &Document) -> Option<&'static str> {
+        match () {
+            () if !document.view().valid => Some(text!("sweep-lacks-graph")),
+            () if self.param.is_empty() => Some(text!("sweep-lacks-parameter")),
+            () if self.measure.trim().is_empty() => Some(text!("sweep-lacks-measure")),
+            () => None,
+        }
     }
 
     fn request(&self, document: &Document, path: &Path) -> SweepRequest {
@@ -399,6 +406,34 @@ fn row(ui: &mut Ui, label: &str, add: impl FnOnce(&mut Ui)) {
         });
         add(ui);
     });
+}
+
+/// Shows a list that opens, with a field that filters it; `(id, caption, name, name of the filter)`. Returns what was chosen.
+fn list(
+    ui: &mut Ui,
+    (id, caption, label, filter_name): (&str, &str, &str, &str),
+    filter: &mut String,
+    now: &str,
+    all: impl FnOnce() -> Vec<String>,
+) -> Option<String> {
+    let combo = ComboBox::from_id_salt(id).selected_text(caption).width(ui.available_width() - 8.0);
+    let combo = combo.close_behavior(PopupCloseBehavior::CloseOnClickOutside);
+    let response = combo.show_ui(ui, |ui| {
+        let field = ui.add(TextEdit::singleline(filter).hint_text(filter_name).desired_width(f32::INFINITY));
+        name(ui, field.id, filter_name);
+        let wanted: Vec<String> = filter.split_whitespace().map(str::to_lowercase).collect();
+        let fits = |entry: &String| wanted.iter().all(|word| entry.to_lowercase().contains(word));
+        let mut chosen = None;
+        for entry in all().into_iter().filter(fits) {
+            if ui.selectable_label(entry == now, &entry).clicked() {
+                chosen = Some(entry);
+                ui.close();
+            }
+        }
+        chosen
+    });
+    name(ui, response.response.id, label);
+    response.inner.flatten()
 }
 
 fn name(ui: &Ui, id: Id, label: &str) {

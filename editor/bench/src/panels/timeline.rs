@@ -1,10 +1,11 @@
 //! The panel of a recording: scrubbing, stepping, playing a part again and again, and a second recording beside it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use eframe::egui::{Button, Id, Key, Modifiers, RichText, Slider, TextEdit, Ui, WidgetInfo, WidgetType};
 
 use crate::actions::{self, Action};
+use crate::panels::files::Target;
 use panoscope_editor_model::timeline::Timeline;
 use panoscope_editor_texts::{decimal, text};
 use panoscope_editor_widgets::numbers::drag_value;
@@ -19,6 +20,10 @@ pub enum TimelineRequest {
     Compare(PathBuf),
     /// Take the second recording away.
     EndCompare,
+    /// Pick the file of a recording.
+    Browse(Target),
+    /// Record the graph, or end the recording.
+    Record,
     /// Close the recording.
     Close,
 }
@@ -36,11 +41,16 @@ pub struct TimelinePanel {
 
 impl TimelinePanel {
     /// Shows the panel; returns the user's requests.
-    pub fn show(&mut self, ui: &mut Ui, timeline: Option<&Timeline>) -> Option<TimelineRequest> {
+    ///
+    /// `recording` is the file that the running graph is recorded to.
+    pub fn show(
+        &mut self,
+        ui: &mut Ui,
+        timeline: Option<&Timeline>,
+        recording: Option<&Path>,
+    ) -> Option<TimelineRequest> {
         let Some(timeline) = timeline else {
-            ui.label(RichText::new(text!("timeline-about")).color(theme::muted()));
-            return file_row(ui, &mut self.file, text!("timeline-file"), text!("timeline-file.open"))
-                .map(TimelineRequest::Open);
+            return self.closed(ui, recording);
         };
         let mut request = None;
         let position = timeline.position();
@@ -123,11 +133,33 @@ impl TimelinePanel {
                 }
             }
             None => {
-                let path = file_row(ui, &mut self.second, text!("timeline-second"), text!("timeline-second.open"));
-                request = request.take().or(path.map(TimelineRequest::Compare));
+                let names = (text!("timeline-second"), text!("timeline-second.open"), text!("timeline-second.browse"));
+                let picked = file_row(ui, &mut self.second, names).map(|picked| match picked {
+                    Some(path) => TimelineRequest::Compare(path),
+                    None => TimelineRequest::Browse(Target::SecondTimeline),
+                });
+                request = request.take().or(picked);
             }
         });
         request
+    }
+
+    /// Shows the panel without a recording: opens one, or makes one.
+    fn closed(&mut self, ui: &mut Ui, recording: Option<&Path>) -> Option<TimelineRequest> {
+        let about = match recording {
+            Some(file) => text!("record-runs", file = file.display().to_string()),
+            None => text!("timeline-about").to_owned(),
+        };
+        ui.label(RichText::new(about).color(theme::muted()));
+        let caption = if recording.is_some() { text!("record-stop") } else { text!("record-start") };
+        if ui.button(caption).on_hover_text(actions::hint(Action::Record)).clicked() {
+            return Some(TimelineRequest::Record);
+        }
+        let names = (text!("timeline-file"), text!("timeline-file.open"), text!("timeline-file.browse"));
+        file_row(ui, &mut self.file, names).map(|picked| match picked {
+            Some(path) => TimelineRequest::Open(path),
+            None => TimelineRequest::Browse(Target::Timeline),
+        })
     }
 
     /// Arrow keys on the slider go from tick to tick; by themselves they would move it by a point, which is less.
@@ -145,14 +177,19 @@ impl TimelinePanel {
     }
 }
 
-/// Shows a field for a file and a button; returns the file when the button is pressed.
-fn file_row(ui: &mut Ui, file: &mut String, name: &str, caption: &str) -> Option<PathBuf> {
+/// Shows a field for a file, a button that takes it, and one that lists files; returns the file when it is taken, `None` in it for the list.
+fn file_row(ui: &mut Ui, file: &mut String, (name, caption, browse): (&str, &str, &str)) -> Option<Option<PathBuf>> {
     ui.horizontal(|ui| {
-        let field = ui.add(TextEdit::singleline(file).hint_text("file.mcap").desired_width(360.0));
+        let field = ui.add(TextEdit::singleline(file).id_salt(name).hint_text("file.mcap").desired_width(360.0));
         ui.ctx().accesskit_node_builder(field.id, |node| node.set_label(name));
         let entered = field.lost_focus() && ui.input(|i| i.key_pressed(eframe::egui::Key::Enter));
         let pressed = ui.add_enabled(!file.trim().is_empty(), Button::new(caption)).clicked();
-        ((pressed || entered) && !file.trim().is_empty()).then(|| PathBuf::from(file.trim()))
+        let lists = ui.button(text!("form-browse"));
+        ui.ctx().accesskit_node_builder(lists.id, |node| node.set_label(browse));
+        if lists.clicked() {
+            return Some(None);
+        }
+        ((pressed || entered) && !file.trim().is_empty()).then(|| Some(PathBuf::from(file.trim())))
     })
     .inner
 }

@@ -9,7 +9,7 @@ mod shared;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use eframe::egui::{Key, Modifiers, Ui, vec2};
+use eframe::egui::{Key, Modifiers, Rect, Shape, Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::{App, Options};
@@ -157,6 +157,38 @@ impl Window {
             let status = app.session().status();
             !status.busy && *status.running == **app.document().runnable()
         });
+    }
+
+    /// All texts that the last frame drew, as they stand on the screen: shortened ones end with an ellipsis.
+    pub fn painted(&self) -> Vec<String> {
+        self.painted_at().into_iter().map(|(text, _)| text).collect()
+    }
+
+    /// As [`Self::painted`], each with its rectangle in the window.
+    pub fn painted_at(&self) -> Vec<(String, Rect)> {
+        fn collect(shape: &Shape, found: &mut Vec<(String, Rect)>) {
+            match shape {
+                Shape::Vec(shapes) => shapes.iter().for_each(|shape| collect(shape, found)),
+                Shape::Text(text) => {
+                    let rows = text.galley.rows.iter().map(|row| row.glyphs.iter().map(|g| g.chr).collect::<String>());
+                    found.push((rows.collect::<Vec<_>>().join(" "), text.visual_bounding_rect()));
+                }
+                _ => {}
+            }
+        }
+        let mut found = Vec::new();
+        self.harness.output().shapes.iter().for_each(|clipped| collect(&clipped.shape, &mut found));
+        found
+    }
+
+    /// Draws frames until a text is on the screen.
+    pub fn until_painted(&mut self, text: &str) {
+        let until = Instant::now() + PATIENCE;
+        while !self.painted().iter().any(|painted| painted.contains(text)) {
+            assert!(Instant::now() < until, "`{text}` is not drawn: {:#?}", self.painted());
+            self.harness.step();
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 
     /// Names of the nodes that run.

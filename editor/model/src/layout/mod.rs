@@ -1,10 +1,12 @@
 //! Positions for nodes without a position in the file: layers along the data flow, wrapped into rows that have the shape of the window.
 
 mod layers;
+mod router;
 mod rows;
 
 use std::collections::HashMap;
 
+pub use router::{Ends, Obstacles};
 pub use rows::fitted;
 
 /// Distance between layers and between the nodes of a layer, in points at zoom 1.

@@ -5,23 +5,43 @@
 top-changed = geändert
     .hint = Es gibt ungespeicherte Änderungen
 top-keys = Tasten
-top-sweep = Durchfahren
+top-sweep = Reihe
 top-presets = Presets
 top-history = Verlauf
 top-plots = Kurven
 top-text = Text
-top-heat = Wärme
+top-heat = Auslastung
 top-problems = Probleme
     .count = Probleme { $count }
 top-arguments = Argumente
     .count = Argumente { $count }
-top-fit = Ganz
+top-fit = Einpassen
 top-find = Suchen
-top-add = Neu
+top-add = Hinzufügen
 top-save = Speichern
-top-redo = Vor
-top-undo = Zurück
+top-redo = Wiederholen
+top-undo = Rückgängig
 top-again = Neu starten
+top-record = Aufzeichnen
+    .stop = Aufzeichnung beenden
+top-look = Ansicht
+top-run = Lauf
+top-menu = Weitere Knöpfe, weil das Fenster schmal ist
+state-unfinished = { $count ->
+    [0] noch nicht fertig: ein Knoten hat nichts zu lesen
+    [one] noch nicht fertig: 1 Eingang ist nicht verbunden
+   *[other] noch nicht fertig: { $count } Eingänge sind nicht verbunden
+}
+state-unfinished-runs = { $count ->
+    [0] noch nicht fertig; der letzte gültige Graph läuft weiter
+    [one] noch nicht fertig: 1 Eingang ist nicht verbunden; der letzte gültige Graph läuft weiter
+   *[other] noch nicht fertig: { $count } Eingänge sind nicht verbunden; der letzte gültige Graph läuft weiter
+}
+state-recorded = zeigt die Aufzeichnung { $file }; der Graph läuft weiter
+state-over = { $count ->
+    [one] 1 Bild
+   *[other] { $count } Bilder
+} in { $seconds } s, { $rate } Bilder/s
 state-name = Zustand: { $state }
 state-disk-full = Datenträger voll: „{ $node }“ schreibt nicht mehr
 state-bypassed = „{ $node }“ ist nach einer Störung überbrückt
@@ -169,6 +189,19 @@ done-written = geschrieben: { $file }
 done-not-written = die Kurven wurden nicht geschrieben: { $reason }
 done-newest = dies ist der neueste Wert im Verlauf
 done-oldest = dies ist der älteste Wert im Verlauf
+done-connected = verbunden: { $wires }
+done-arranged = { $count ->
+    [one] 1 Knoten ist geordnet
+   *[other] { $count } Knoten sind geordnet
+}
+done-arranged-already = alle Knoten sind schon geordnet
+need-own-machine = der Graph läuft auf einer anderen Maschine: dort aufzeichnen
+need-valid = der Graph hat Fehler: nur ein laufender Graph wird aufgezeichnet
+done-acknowledged = { $count ->
+    [0] es gibt keine Störung
+    [one] 1 Störung ist zur Kenntnis genommen
+   *[other] { $count } Störungen sind zur Kenntnis genommen
+}
 need-two-nodes = zum Ausrichten mindestens zwei Knoten wählen
 need-recording = zuerst eine Aufzeichnung öffnen: J zeigt die Zeitleiste
 need-recorded-graph = kein Knoten dieses Graphen ist in der Aufzeichnung: den aufgezeichneten Graphen öffnen
@@ -187,6 +220,11 @@ palette-command = Ein Befehl, ein Knoten oder ein Parameter des Graphen
 palette-loading = Plugins werden geladen
 palette-no-match = nichts gefunden
 palette-from = { $input } von { $output }
+palette-part = Teil
+palette-by-name = { $ports } nach Namen verbinden
+palette-to = { $ports } mit { $node } verbinden
+# Gruppen von Wörtern mit einer Bedeutung, durch Semikolon getrennt, klein geschrieben. Namen von Knoten sind englisch.
+palette-synonyms = kamera camera capture webcam live quelle source; datei file video aufnahme recording film abspielen play; speichern schreiben aufzeichnen save write record store export; panorama zusammensetzen mosaik stitch mosaic wide composite; tiefe abstand depth disparity distance stereo; oberfläche punkte surface cloud points 3d mesh; instrument werkzeug tool detect boxes yolo; maske mask segment instances; zeigen anzeige ansicht show display preview view; glätten weichzeichnen rauschen smooth blur denoise filter; ausrichten register align match homography; entzerren kalibrieren kalibrierung rectify calibrate calibration lens; roboter arm gelenk robot joint kinematics; farbe colour color palette colorize; zuschneiden ausschnitt crop cut region roi; größe skalieren scale resize shrink; ordnen anordnen arrange order layout; rückgängig undo revert
 palette-pick = { $name } wählen
 
 ## Werte von Bildern
@@ -263,6 +301,14 @@ canvas-old = { $seconds } s alt
 canvas-age = Alter { $age }
 canvas-rate = { $rate } fps
 canvas-median = { $median } · p99 { $slow }
+canvas-unfinished = noch nicht fertig
+canvas-mistake = Fehler
+canvas-recorded = aufgezeichnet
+canvas-not-recorded = nicht in der Aufzeichnung
+canvas-ticks = { $count ->
+    [one] 1 Takt
+   *[other] { $count } Takte
+}
 canvas-rest = ruht
 canvas-faults = { $count ->
     [one] 1 Störung
@@ -309,7 +355,7 @@ panel-history = Verlauf
 panel-timeline = Aufzeichnung
 panel-trace = Takte
 panel-states = Presets
-panel-sweep = Durchfahren
+panel-sweep = Reihe
 panel-plots = Kurven
 panel-name = Feld { $panel }
 panel-button = { $button }: { $panel }

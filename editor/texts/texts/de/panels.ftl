@@ -3,6 +3,7 @@
 ## Durchfahren eines Parameters
 
 sweep-parameter = Parameter
+    .filter = Parameter filtern
     .name = Durchfahrener Parameter
 sweep-range = von, bis
     .from = Durchfahren von
@@ -12,6 +13,7 @@ sweep-steps = Schritte
 sweep-measure = Maß
     .name = Gemessenes Maß
 sweep-measures = wählen
+    .filter = Messgrößen filtern
     .name = Bekannte Maße
 sweep-pictures = Bilder
     .hint = die eigenen Quellen des Graphen
@@ -25,7 +27,9 @@ sweep-cancel = Abbrechen
     .hint = Die bisher gemessenen Werte bleiben
 sweep-start = Durchfahren
     .hint = Läuft neben dem Graphen im Stapelbetrieb, ohne Knoten mit Nebenwirkungen
-    .disabled = Zuerst einen Parameter und ein Maß wählen
+sweep-lacks-graph = Der Graph hat Fehler: nur ein gültiger Graph wird durchfahren.
+sweep-lacks-parameter = Der Graph hat keinen Parameter, der sich durchfahren lässt.
+sweep-lacks-measure = Eine Messgröße wählen: einen Skalar, eine Tabellenspalte, eine Metrik oder eine Zeit.
 sweep-about = Lässt den Graphen für jeden Wert einmal über dieselben Bilder laufen. Der Graph in diesem Fenster läuft weiter.
 sweep-title = { $measure } über { $param }
 sweep-not-started = nicht gestartet
@@ -68,9 +72,10 @@ age-days = vor { $count } d
 
 ## Aufzeichnungen
 
-timeline-about = Eine Aufzeichnung (`panoscope record`) zeigt ihre Bilder an den Knoten; der Graph läuft weiter.
+timeline-about = Eine Aufzeichnung zeigt ihre Bilder an den Knoten; der Graph läuft weiter. Aufzeichnen hält jeden Ausgang fest, von einem neuen Start des Graphen an.
 timeline-file = Aufzeichnung
     .open = Aufzeichnung öffnen
+    .browse = Aufzeichnungen auflisten
 timeline-title = Bilder der Aufzeichnung { $file }
     .hint = Der Graph läuft weiter; seine eigenen Bilder kommen wieder, wenn die Aufzeichnung geschlossen wird
 timeline-close = Aufzeichnung schließen
@@ -90,6 +95,16 @@ timeline-beside = Daneben: { $file }; V zeigt eine Ausgabe groß, C vergleicht s
 timeline-compare-end = Vergleich beenden
 timeline-second = Zweite Aufzeichnung
     .open = Damit vergleichen
+    .browse = Aufzeichnungen für die zweite auflisten
+record-start = Aufzeichnen
+record-stop = Aufzeichnung beenden und zeigen
+record-runs = Wird aufgezeichnet: { $file }
+record-begins = der Graph beginnt von vorn und wird aufgezeichnet: { $file }
+record-done = { $count ->
+    [one] 1 Takt aufgezeichnet
+   *[other] { $count } Takte aufgezeichnet
+}: { $file }
+record-failed = { $file } endete vorzeitig: { $reason }
 
 ## Takte
 
@@ -135,6 +150,7 @@ node-outputs = Ausgänge
 node-parameters = Parameter
 node-sweep = einen über einen Bereich durchfahren
     .name = Parameter durchfahren
+node-none = Einen Knoten wählen, um zu sehen, was er liest, seine Werte und Zeiten.
 node-name = Name
     .hint = Name; Eingabe benennt den Knoten überall um
 node-unknown = { $type } · nicht bekannt
@@ -161,6 +177,7 @@ node-ticks-are = { $count }  ·  { $dropped } verloren
 node-trace = warum Takte verloren gehen
     .name = Warum Takte verloren gehen
 node-fault = Letzte Störung
+    .seen = Zur Kenntnis nehmen
 node-fault-is = { $cause }, bisher { $count }; danach: { $done }
 node-input = Eingang { $input }
 node-not-connected = nicht verbunden
@@ -219,6 +236,10 @@ value-empty = leer
 overview-selected = { $count } Knoten gewählt
 overview-make-part = Teil daraus machen
 overview-preset = Preset
+overview-copy = kopieren
+    .name = { $command } kopieren
+overview-more = mehr
+overview-less = weniger
 overview-time = Wohin die Zeit geht
 overview-nothing = nichts läuft
 overview-share = { $time }   { $percent } %

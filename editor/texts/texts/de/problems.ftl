@@ -58,3 +58,32 @@ remedy-times = die Zeiten der Quelle laufen rückwärts: Kameratreiber oder Aufz
 remedy-silent = der Knoten macht nichts aus vollständigen Eingängen: diese und seine Grenzen ansehen
 remedy-recording = die Aufzeichnung hat eine Lücke: den Datenträger prüfen
 remedy-error = die Meldung lesen; der Knoten startet von selbst neu
+
+## Arten von Störungen, und was danach geschah
+
+cause-error = Fehler
+cause-panic = Absturz im Plugin
+cause-hang = kehrt nicht zurück
+cause-open = ließ sich nicht öffnen
+cause-output = Ausgang nicht wie deklariert
+cause-format = falsches Format
+cause-size = falsche Größe
+cause-number = keine Zahl
+cause-much = zu viel ausgegeben
+cause-exhausted = keine Bilder mehr frei
+cause-times = Aufnahmezeiten laufen rückwärts
+cause-silent = keine Ausgabe
+cause-slow = über seiner Zeit
+cause-leak = gibt Bilder nicht frei
+cause-recording = Lücke in der Aufzeichnung
+cause-release = Bild zweimal freigegeben
+cause-crash = Prozess beendet
+cause-incomplete = Eingang unvollständig
+cause-old = Eingang zu alt
+after-restart = neu gestartet
+after-abandon = durch einen neuen ersetzt
+after-bypass = umgangen
+after-stop = Lauf angehalten
+after-end = beendet
+after-withhold = Paket nicht ausgeliefert
+after-note = vermerkt

@@ -4,7 +4,8 @@
 
 form-cancel = Abbrechen
 form-unchanged = Die Graphdatei wird nicht geändert.
-form-overlays = Overlays
+form-overlays = Quelle der Bilder
+form-own = wie im Graphen
 form-overlay = Overlay { $name }
 form-default = Vorgabe
 form-default-is = Vorgabe: { $value }

@@ -22,6 +22,26 @@ top-save = Save
 top-redo = Redo
 top-undo = Undo
 top-again = Run again
+top-record = Record
+    .stop = End recording
+top-look = Look
+top-run = Run
+top-menu = More buttons, because the window is narrow
+state-unfinished = { $count ->
+    [0] unfinished: a node has nothing to read
+    [one] unfinished: 1 input is not connected
+   *[other] unfinished: { $count } inputs are not connected
+}
+state-unfinished-runs = { $count ->
+    [0] unfinished; the last valid graph keeps running
+    [one] unfinished: 1 input is not connected; the last valid graph keeps running
+   *[other] unfinished: { $count } inputs are not connected; the last valid graph keeps running
+}
+state-recorded = shows the recording { $file }; the graph runs on
+state-over = { $count ->
+    [one] 1 frame
+   *[other] { $count } frames
+} in { $seconds } s, { $rate } fps
 state-name = State: { $state }
 state-disk-full = the disk is full: `{ $node }` has stopped writing
 state-bypassed = `{ $node }` is bypassed after a fault
@@ -169,6 +189,19 @@ done-written = written: { $file }
 done-not-written = the curves were not written: { $reason }
 done-newest = this is the newest value in the history
 done-oldest = this is the oldest value in the history
+done-connected = connected: { $wires }
+done-arranged = { $count ->
+    [one] 1 node is arranged
+   *[other] { $count } nodes are arranged
+}
+done-arranged-already = all nodes are arranged already
+need-own-machine = the graph runs on another machine: record it there
+need-valid = the graph has mistakes: only a graph that runs can be recorded
+done-acknowledged = { $count ->
+    [0] there is no fault to acknowledge
+    [one] 1 fault is acknowledged
+   *[other] { $count } faults are acknowledged
+}
 need-two-nodes = select at least two nodes to align
 need-recording = open a recording first: J shows the timeline
 need-recorded-graph = no node of this graph is in the recording: open the graph that was recorded
@@ -187,6 +220,11 @@ palette-command = A command, a node, or a parameter of the graph
 palette-loading = loading the plugins
 palette-no-match = no match
 palette-from = { $input } from { $output }
+palette-part = part
+palette-by-name = connect { $ports } by name
+palette-to = connect { $ports } to { $node }
+# Groups of words with one meaning, separated by semicolons, in small letters.
+palette-synonyms = camera capture webcam live source; file video recording movie play; save write record store export; panorama stitch mosaic wide composite; depth disparity distance stereo; surface cloud points 3d mesh; instrument tool detect boxes yolo; mask segment instances; show display preview view look; smooth blur denoise filter; register align match homography; rectify calibrate calibration lens; robot arm joint kinematics; colour color palette colorize; crop cut region roi; scale resize shrink; arrange order layout tidy; undo revert back
 palette-pick = Pick { $name }
 
 ## Values of pictures
@@ -263,6 +301,14 @@ canvas-old = { $seconds } s old
 canvas-age = age { $age }
 canvas-rate = { $rate } fps
 canvas-median = { $median } · p99 { $slow }
+canvas-unfinished = unfinished
+canvas-mistake = mistake
+canvas-recorded = recorded
+canvas-not-recorded = not in the recording
+canvas-ticks = { $count ->
+    [one] 1 tick
+   *[other] { $count } ticks
+}
 canvas-rest = at rest
 canvas-faults = { $count ->
     [one] 1 fault

@@ -3,6 +3,7 @@
 ## Sweep
 
 sweep-parameter = parameter
+    .filter = Filter the parameters
     .name = Swept parameter
 sweep-range = from, to
     .from = Sweep from
@@ -12,6 +13,7 @@ sweep-steps = Sweep steps
 sweep-measure = measure
     .name = Sweep measure
 sweep-measures = choose
+    .filter = Filter the measures
     .name = Known measures
 sweep-pictures = pictures
     .hint = the graph's own sources
@@ -25,7 +27,9 @@ sweep-cancel = Cancel
     .hint = The values measured so far stay
 sweep-start = Start the sweep
     .hint = Runs beside the graph in batch mode, without nodes that have side effects
-    .disabled = Choose a parameter and a measure first
+sweep-lacks-graph = The graph has mistakes: only a valid graph is swept.
+sweep-lacks-parameter = The graph has no parameter that can be swept.
+sweep-lacks-measure = Choose a measure: a scalar, a column of a table, a metric or a time.
 sweep-about = Runs the graph once per value on the same frames. The graph in this window keeps running.
 sweep-title = { $measure } over { $param }
 sweep-not-started = did not start
@@ -68,9 +72,10 @@ age-days = { $count } d ago
 
 ## Recordings
 
-timeline-about = A recording (`panoscope record`) shows its pictures on the nodes; the graph keeps running.
+timeline-about = A recording shows its pictures on the nodes; the graph keeps running. Record makes one of every output, from a new start of the graph on.
 timeline-file = Recording
     .open = Open recording
+    .browse = List the recordings
 timeline-title = Pictures of the recording { $file }
     .hint = The graph keeps running; its own pictures come back when the recording is closed
 timeline-close = Close recording
@@ -90,6 +95,16 @@ timeline-beside = Beside it: { $file }; V shows an output large, C compares it w
 timeline-compare-end = End the comparison
 timeline-second = Second recording
     .open = Compare with it
+    .browse = List the recordings for the second one
+record-start = Record
+record-stop = End the recording and show it
+record-runs = Recording to { $file }
+record-begins = the graph starts again, recorded to { $file }
+record-done = recorded { $count ->
+    [one] 1 tick
+   *[other] { $count } ticks
+}: { $file }
+record-failed = { $file } ended early: { $reason }
 
 ## Ticks
 
@@ -135,6 +150,7 @@ node-outputs = Outputs
 node-parameters = Parameters
 node-sweep = sweep one over a range
     .name = Sweep a parameter
+node-none = Select a node to see what it reads, its values and its times.
 node-name = Name
     .hint = Name; Enter renames the node everywhere
 node-unknown = { $type } · not known
@@ -161,6 +177,7 @@ node-ticks-are = { $count }  ·  { $dropped } dropped
 node-trace = why ticks are dropped
     .name = Why ticks are dropped
 node-fault = Last fault
+    .seen = Acknowledge
 node-fault-is = { $cause }, { $count } so far; then: { $done }
 node-input = Input { $input }
 node-not-connected = not connected
@@ -219,6 +236,10 @@ value-empty = empty
 overview-selected = { $count } nodes selected
 overview-make-part = Make a part
 overview-preset = Preset
+overview-copy = copy
+    .name = Copy { $command }
+overview-more = more
+overview-less = less
 overview-time = Where time goes
 overview-nothing = nothing runs
 overview-share = { $time }   { $percent } %

@@ -58,3 +58,32 @@ remedy-times = the source's times run backwards: check the camera's driver or th
 remedy-silent = the node makes nothing of complete inputs: look at them, and at its limits
 remedy-recording = the recording has a gap: check the disk
 remedy-error = read the message; the node is restarted by itself
+
+## Kinds of faults, and what was done about one
+
+cause-error = error
+cause-panic = panic
+cause-hang = does not return
+cause-open = could not be opened
+cause-output = output not as declared
+cause-format = wrong format
+cause-size = wrong size
+cause-number = not a number
+cause-much = too much output
+cause-exhausted = no frames left
+cause-times = capture times run backwards
+cause-silent = no output
+cause-slow = over its budget
+cause-leak = keeps frames
+cause-recording = gap in the recording
+cause-release = frame released twice
+cause-crash = process ended
+cause-incomplete = input incomplete
+cause-old = input too old
+after-restart = restarted
+after-abandon = replaced by a new one
+after-bypass = bypassed
+after-stop = the run was stopped
+after-end = ended
+after-withhold = packet not delivered
+after-note = noted

@@ -4,7 +4,8 @@
 
 form-cancel = Cancel
 form-unchanged = The graph file is not changed.
-form-overlays = Overlays
+form-overlays = Source of the images
+form-own = as the graph has it
 form-overlay = Overlay { $name }
 form-default = default
 form-default-is = default: { $value }
