@@ -40,8 +40,9 @@ fn looks(window: &mut Window, name: &str) {
 fn times(window: &Window) -> Vec<Rect> {
     let canvas = window.app().canvas();
     let footer = canvas.zoom_factor() * 32.0;
-    let rects =
-        canvas.node_rects().into_iter().map(|(_, rect)| rect.with_min_y(rect.bottom() - footer).intersect(canvas.rect));
+    // While something is picked, the viewer stands over the graph.
+    let nodes = if window.app().viewed().is_some() { Vec::new() } else { canvas.node_rects() };
+    let rects = nodes.into_iter().map(|(_, rect)| rect.with_min_y(rect.bottom() - footer).intersect(canvas.rect));
     let size = window.harness.ctx.content_rect().size();
     let bar = Rect::from_min_size(Pos2::ZERO, vec2(480.0, 48.0));
     let is_time = |text: &str| {
