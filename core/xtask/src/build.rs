@@ -35,8 +35,8 @@ const NATIVE: &str = "_native.abi3.so";
 const PRODUCT: [&str; 5] = [PROGRAM_PACKAGE, LAB, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
 /// Endings of the files of the Python package: code, the native part, types and the mark that there are types.
 const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
-/// The package itself and those inside of it.
-const PACKAGE_FOLDERS: [&str; 2] = [".", "studies"];
+/// The package inside of it.
+const INNER_PACKAGE: &str = "studies";
 /// Arguments for cargo that unite the features of external packages, so that every build uses the same ones.
 pub const FEATURES: [&str; 4] = ["--package", "panoscope-features", REST[0], REST[1]];
 /// The same where the whole workspace is built.
@@ -353,9 +353,8 @@ pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Re
 
 /// Puts the files of the Python package into another folder.
 pub fn place_python(from: &Path, to: &Path, means: Means) -> Result<()> {
-    PACKAGE_FOLDERS
-        .iter()
-        .try_for_each(|folder| place_files(&from.join(folder), &to.join(folder), &PACKAGE_FILES, means))
+    place_files(from, to, &PACKAGE_FILES, means)?;
+    place_files(&from.join(INNER_PACKAGE), &to.join(INNER_PACKAGE), &PACKAGE_FILES, means)
 }
 
 /// How a file gets to its place.
