@@ -37,8 +37,8 @@ const NATIVE: &str = "_native.abi3.so";
 const PRODUCT: [&str; 5] = [PROGRAM_PACKAGE, LAB, GUARD_PACKAGE, MACHINE_PACKAGE, PYTHON_PACKAGE];
 /// File extensions of the Python package: code, native part, types and the marker for types.
 const PACKAGE_FILES: [&str; 4] = ["py", "so", "pyi", "typed"];
-/// The package itself and its subpackages.
-const PACKAGE_FOLDERS: [&str; 2] = [".", "studies"];
+/// The subpackage of the Python package.
+const INNER_PACKAGE: &str = "studies";
 /// Arguments for cargo that unite the features of external packages, so that every build uses the same ones.
 pub const FEATURES: [&str; 4] = ["--package", "panoscope-features", REST[0], REST[1]];
 /// Additional arguments if the whole workspace is built.
@@ -358,9 +358,8 @@ pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Re
 
 /// Places the files of the Python package in another folder.
 pub fn place_python(from: &Path, to: &Path, means: Means) -> Result<()> {
-    PACKAGE_FOLDERS
-        .iter()
-        .try_for_each(|folder| place_files(&from.join(folder), &to.join(folder), &PACKAGE_FILES, means))
+    place_files(from, to, &PACKAGE_FILES, means)?;
+    place_files(&from.join(INNER_PACKAGE), &to.join(INNER_PACKAGE), &PACKAGE_FILES, means)
 }
 
 /// Way of placing a file.

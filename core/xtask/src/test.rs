@@ -401,7 +401,7 @@ mod tests {
         let error = Request::parse(&args).err().unwrap().to_string();
         assert_eq!(
             error,
-            "there is no test suite `fualts`; there are: all, lint, code, asan, tsan, faults, hostile-models, disk, damaged-streams, losses, soak, leaks, network, kill, pictures, arm, sim, campaign"
+            "there is no test suite `fualts`; there are: all, lint, code, asan, tsan, faults, hostile-models, disk, damaged-streams, losses, soak, batches, leaks, network, kill, pictures, arm, sim, campaign"
         );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));

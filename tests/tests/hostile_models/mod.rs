@@ -59,7 +59,7 @@ fn every_kind_of_hostile_model_is_refused_or_opened_in_time() {
         let mut graph = graph.clone();
         graph.nodes[node].params[0] = ParamValue::Path(model);
         let begun = Instant::now();
-        let opened = try_node(&graph, node, &catalog, &loader, &home);
+        let opened = try_node(&graph, node, &catalog, &loader, &home).map_err(|error| error.to_string());
         (opened, begun.elapsed())
     };
     let mut base = Duration::ZERO;

@@ -11,7 +11,7 @@ use panoscope_engine::{Engine, Listener, Options};
 use panoscope_tests::machines::{Machine, Namespace, Relay};
 use panoscope_tests::{load, scratch};
 
-use super::{PATIENCE, machine, options, plain_machine};
+use super::{PATIENCE, machine, plain_machine};
 
 /// Frames of an output by tick.
 type Pictures = Arc<Mutex<BTreeMap<u64, Vec<u8>>>>;

@@ -8,7 +8,7 @@ use panoscope_engine::{Engine, Options, StartError};
 use panoscope_tests::machines::{Machine, free_port, program};
 use panoscope_tests::{load, scratch};
 
-use super::{ONE, PATIENT, machine, options};
+use super::{ONE, PATIENT, machine};
 
 /// Starts and closes a graph. Returns why it does not start.
 fn refusal(folder: &Path, text: &str) -> String {

@@ -208,7 +208,7 @@ class _Drive:
                 try:
                     outcome = self._executor.outcome(handle)
                 except Exception as error:  # Of the executor's own kind: a worker that died too often, a broken pool.
-                    outcome = {"key": task["key"], "outcome": LOST, "error": f"{type(error).__name__}: {error}", "worker": "?"}
+                    outcome = Outcome(key=task["key"], outcome=LOST, error=f"{type(error).__name__}: {error}", worker="?")
                 if self._take(task, outcome):
                     over += 1
                 else:
