@@ -47,12 +47,12 @@
 #define PANOSCOPE_PROBLEM_ERROR 1
 
 /**
- * In PanoscopeValidateCall.invalid: the node works, but probably not as meant.
+ * In PanoscopeValidateCall.invalid: the node works, but probably not as intended.
  */
 #define PANOSCOPE_PROBLEM_WARNING 2
 
 /**
- * In PanoscopeValidateCall.invalid: the problem is of the node as a whole.
+ * In PanoscopeValidateCall.invalid: the problem concerns the whole node, not one parameter.
  */
 #define PANOSCOPE_NO_PARAM 4294967295
 
@@ -72,7 +72,7 @@
 #define PANOSCOPE_LOG_INFO 3
 
 /**
- * For whoever debugs the node.
+ * Details for debugging the node.
  */
 #define PANOSCOPE_LOG_DEBUG 4
 
@@ -87,12 +87,12 @@
 #define PANOSCOPE_CLAIM_HOLD 0
 
 /**
- * The node begins to write: the answered file may be created anew. One of an earlier run is replaced.
+ * The node begins to write: the returned file may be created or truncated. One of an earlier run is replaced.
  */
 #define PANOSCOPE_CLAIM_BEGIN 1
 
 /**
- * As PANOSCOPE_CLAIM_BEGIN, but a file that exists is never answered.
+ * As PANOSCOPE_CLAIM_BEGIN, but the returned path never exists yet.
  */
 #define PANOSCOPE_CLAIM_BEGIN_NEW 2
 
@@ -152,7 +152,7 @@
 #define PANOSCOPE_PARAM_FLOAT 3
 
 /**
- * One of a list of words.
+ * One of a fixed list of names.
  */
 #define PANOSCOPE_PARAM_CHOICE 4
 
@@ -172,7 +172,7 @@
 #define PANOSCOPE_PARAM_FLOATS 7
 
 /**
- * A change closes the node and opens it again.
+ * A change closes the node and reopens it.
  */
 #define PANOSCOPE_PARAM_REOPEN 1
 
@@ -182,13 +182,13 @@
 #define PANOSCOPE_PARAM_MUST_EXIST 2
 
 /**
- * The numbers are points of a picture in px: u, v, u, v, ... The picture is the first one that the node reads, or the first one
- * that a source makes.
+ * The numbers are points of an image in px: u, v, u, v, ... The image is the first one that the node reads, or the
+ * first one that a source makes.
  */
 #define PANOSCOPE_PARAM_POINTS 4
 
 /**
- * The numbers are rectangles of a picture in px: x, y, width, height, ... The picture is as for points.
+ * The numbers are rectangles of an image in px: x, y, width, height, ... The image is as for points.
  */
 #define PANOSCOPE_PARAM_RECTANGLES 8
 
@@ -198,13 +198,13 @@
 #define PANOSCOPE_PARAM_FILE 16
 
 /**
- * The node writes the file that the path names; the path may hold place holders such as `{seq}`.
+ * The node writes the file that the path names; the path may hold placeholders such as `{seq}`.
  */
 #define PANOSCOPE_PARAM_WRITES 32
 
 /**
- * The default of the path names a file that comes with the plugin: relative to the folder beside the plugin's library that has the
- * plugin's name, not to the graph file.
+ * The default of the path names a file that comes with the plugin: relative to the folder next to the plugin's library
+ * that has the plugin's name, not to the graph file.
  */
 #define PANOSCOPE_PARAM_SHIPPED 64
 
@@ -284,7 +284,7 @@
 #define PANOSCOPE_MAX_JOINTS 8
 
 /**
- * What a call into a plugin answers.
+ * Result of a call into a plugin.
  */
 typedef int32_t PanoscopeStatus;
 
@@ -335,8 +335,8 @@ typedef struct PanoscopeCamera {
      */
     double cy;
     /**
-     * k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y. A tau_x of 1e6 marks an equidistant lens (Kannala and Brandt; OpenCV's `fisheye`),
-     * whose k1, k2, k3, k4 come first; all others are 0.
+     * k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y. A tau_x of 1e6 marks an equidistant lens (Kannala
+     * and Brandt; OpenCV's `fisheye`), whose k1, k2, k3, k4 come first; all others are 0.
      */
     double distortion[14];
 } PanoscopeCamera;
@@ -406,8 +406,9 @@ typedef struct PanoscopeTick {
      */
     uint32_t source;
     /**
-     * How much older the light of a packet is than that of its tick: the oldest in the upper 20 bits, the newest in the lower 12. Both are
-     * rounded up to 10 us and have a 5-bit exponent above their digits. The host sets it; see PanoscopeHost.set_lag_ns.
+     * Lag of the packet's light behind that of its tick: of the oldest light in the upper 20 bits, of the newest in
+     * the lower 12. Both are rounded up to 10 us and have a 5-bit exponent above their digits. The host sets it; see
+     * PanoscopeHost.set_lag_ns.
      */
     uint32_t flags;
     /**
@@ -421,7 +422,7 @@ typedef struct PanoscopeTick {
 } PanoscopeTick;
 
 /**
- * One packet as a node sees it: a borrowed buffer and what stands in it.
+ * One packet as a node sees it: a borrowed buffer and the layout of its content.
  */
 typedef struct PanoscopeFrame {
     /**
@@ -429,7 +430,7 @@ typedef struct PanoscopeFrame {
      */
     struct PanoscopeBufferId buffer;
     /**
-     * The bytes, resolved by the host for the length of the call.
+     * First byte of the payload; valid during the call.
      */
     uint8_t *data;
     /**
@@ -464,7 +465,7 @@ typedef struct PanoscopeFrame {
 typedef void (*PanoscopeChunkFn)(void *data, size_t chunk);
 
 /**
- * UTF-8 text owned by whoever made it; `ptr` may be null when `len` is 0.
+ * UTF-8 text owned by its creator; `ptr` may be null when `len` is 0.
  */
 typedef struct PanoscopeStr {
     /**
@@ -478,9 +479,9 @@ typedef struct PanoscopeStr {
 } PanoscopeStr;
 
 /**
- * What the host offers. One table per plugin; valid until the process ends.
+ * Functions of the host. One table per plugin; valid until the process ends.
  *
- * Functions that take a `call` want the handle of the running PanoscopeCall or PanoscopeOpenCall.
+ * Functions that take a `call` expect the handle of the running PanoscopeCall or PanoscopeOpenCall.
  */
 typedef struct PanoscopeHost {
     /**
@@ -504,7 +505,8 @@ typedef struct PanoscopeHost {
      */
     void *ctx;
     /**
-     * Makes output `output` of the running call: a buffer of `len` bytes, described by the other arguments. Contents are unspecified.
+     * Makes output `output` of the running call: a buffer of `len` bytes, described by the other arguments. Contents
+     * are unspecified.
      */
     PanoscopeStatus (*alloc)(void *call,
                              uint32_t output,
@@ -514,7 +516,8 @@ typedef struct PanoscopeHost {
                              uint32_t stride_bytes,
                              size_t len);
     /**
-     * Makes output `output` the same buffer as `frame` (an input of this call, or a retained frame). Nothing is copied.
+     * Makes output `output` the same buffer as `frame` (an input of this call, or a retained frame). Nothing is
+     * copied.
      */
     PanoscopeStatus (*forward)(void *call, uint32_t output, const struct PanoscopeFrame *frame);
     /**
@@ -542,12 +545,13 @@ typedef struct PanoscopeHost {
      */
     void (*log)(void *call, uint32_t level, struct PanoscopeStr message);
     /**
-     * Gives the words of a fault. With `PANOSCOPE_STATUS_ERROR` or `PANOSCOPE_STATUS_PANIC` they say why the call failed; with `PANOSCOPE_STATUS_END`, why the source
-     * ended too early; with `PANOSCOPE_STATUS_OK`, what went wrong although the node goes on. Each is one fault of the node.
+     * Reports the message of a fault. With `PANOSCOPE_STATUS_ERROR` or `PANOSCOPE_STATUS_PANIC` it says why the call failed; with
+     * `PANOSCOPE_STATUS_END`, why the source ended too early; with `PANOSCOPE_STATUS_OK`, the reported problem, although the node
+     * continues. Each call counts as one fault of the node.
      */
     void (*fail)(void *call, struct PanoscopeStr message);
     /**
-     * A named number of the node, shown beside its timing.
+     * A named number of the node, shown next to its timing.
      */
     void (*metric)(void *call, struct PanoscopeStr name, double value);
     /**
@@ -559,36 +563,41 @@ typedef struct PanoscopeHost {
      */
     void (*save)(void *sink, const uint8_t *bytes, size_t len);
     /**
-     * Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. `file`, which may be null, is
-     * set to a text that is valid until the call ends. With `PANOSCOPE_STATUS_OK` that is the path to write. For PANOSCOPE_CLAIM_HOLD it is the same in the
-     * whole run; otherwise it is `path` itself the first time in a run, later `name.part2.ending` and so on, so that nothing written in this
-     * run is cut off. With `PANOSCOPE_STATUS_INVALID` it is the name of the open node that writes the file, with `PANOSCOPE_STATUS_ERROR` a message: another run
-     * writes it.
+     * Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant.
+     * `file`, which may be null, is set to a text that is valid until the call ends. With `PANOSCOPE_STATUS_OK` that is the path
+     * to write. For PANOSCOPE_CLAIM_HOLD it is the same in the whole run; otherwise it is `path` itself the first time in a
+     * run, later `name.part2.extension` and so on, so that nothing written in this run is cut off. With
+     * `PANOSCOPE_STATUS_INVALID` it is the name of the open node that writes the file, with `PANOSCOPE_STATUS_ERROR` a message: another
+     * run writes it.
      */
     PanoscopeStatus (*claim_file)(void *call, struct PanoscopeStr path, uint32_t action, struct PanoscopeStr *file);
     /**
-     * The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
+     * The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend
+     * on it.
      */
     int64_t (*clock_ns)(void *call);
     /**
-     * For a source: when the light (or the packet) of this tick arrived, by the clock of PanoscopeHost.clock_ns. All ages count from there. A
-     * time in the future counts as now. Without this call a tick arrives when it enters the graph.
+     * For a source: when the light (or the packet) of this tick arrived, by the clock of PanoscopeHost.clock_ns. All ages
+     * count from there. A time in the future counts as now. Without this call a tick arrives when it enters the graph.
      */
     void (*set_arrived_ns)(void *call, int64_t arrived_ns);
     /**
-     * When the light of an input frame arrived, by the clock of PanoscopeHost.clock_ns; `input` is an index into PanoscopeCall.inputs or
-     * PANOSCOPE_INPUT_TICK. For times between two arrivals. Where results must not depend on the wall clock (`batch`), the capture time. A replay
-     * returns what the recorded run returned. `INT64_MIN` for an empty frame and where the time is unknown.
+     * When the light of an input frame arrived, by the clock of PanoscopeHost.clock_ns; `input` is an index into
+     * PanoscopeCall.inputs or PANOSCOPE_INPUT_TICK. For times between two arrivals. Where results must not depend on the wall
+     * clock (`batch`), the capture time. A replay returns what the recorded run returned. `INT64_MIN` for an empty
+     * frame and where the time is unknown.
      */
     int64_t (*arrived_ns)(void *call, uint32_t input);
     /**
-     * Age of the light of an input frame: the time from PanoscopeHost.arrived_ns to this call. All answers during one call are for the same
-     * moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is `INT64_MIN`.
+     * Age of the light of an input frame: the time from PanoscopeHost.arrived_ns to this call. All answers during one call
+     * are for the same moment; in `batch` that is the capture time of the tick. `INT64_MAX` where `arrived_ns` is
+     * `INT64_MIN`.
      */
     int64_t (*age_ns)(void *call, uint32_t input);
     /**
-     * The outputs of this call show light that is older than that of its tick by this: held or predicted values. Readers see this age. An
-     * output never looks younger than the oldest input. A source uses PanoscopeHost.set_arrived_ns.
+     * Declares that the outputs of this call show light older than the tick's by this many ns (held or predicted
+     * values). Readers see this age. An output never looks younger than the oldest input. A source uses
+     * PanoscopeHost.set_arrived_ns.
      */
     void (*set_lag_ns)(void *call, int64_t lag_ns);
 } PanoscopeHost;
@@ -602,7 +611,7 @@ typedef struct PanoscopePortRange {
      */
     uint32_t first;
     /**
-     * How many frames; 1 except for list ports.
+     * Number of frames; 1 except for list ports.
      */
     uint32_t count;
 } PanoscopePortRange;
@@ -682,7 +691,8 @@ typedef struct PanoscopeCall {
      */
     size_t input_ranges_len;
     /**
-     * One frame per declared output port, empty at the start of the call; filled by PanoscopeHost.alloc and PanoscopeHost.forward.
+     * One frame per declared output port, empty at the start of the call; filled by PanoscopeHost.alloc and
+     * PanoscopeHost.forward.
      */
     struct PanoscopeFrame *outputs;
     /**
@@ -728,8 +738,8 @@ typedef struct PanoscopeCloudPoint {
      */
     uint8_t bgr[3];
     /**
-     * 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a guess, and no length is taken from
-     * it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
+     * 0 where the point was measured, 1 where it was filled in from the points around it: such a point is shown as a
+     * guess, and no length is taken from it. Older plugins and recordings have 0 in all points. Since `ABI_MINOR` 4.
      */
     uint8_t filled;
 } PanoscopeCloudPoint;
@@ -789,7 +799,8 @@ typedef struct PanoscopeDetectionsHeader {
      */
     uint32_t image_height;
     /**
-     * `instances` only: bytes of bit masks after the label text. Per entry a mask of the whole image, rows padded to whole bytes, most significant bit first.
+     * `instances` only: bytes of bit masks after the label text. Per entry a mask of the whole image, rows padded to
+     * whole bytes, most significant bit first.
      */
     uint64_t masks_len;
 } PanoscopeDetectionsHeader;
@@ -803,7 +814,7 @@ typedef struct PanoscopePort {
      */
     struct PanoscopeStr name;
     /**
-     * What flows, for people.
+     * Description of the data, for users.
      */
     struct PanoscopeStr doc;
     /**
@@ -833,7 +844,7 @@ typedef struct PanoscopeParam {
      */
     struct PanoscopeStr name;
     /**
-     * What it does, for people.
+     * Description of its effect, for users.
      */
     struct PanoscopeStr doc;
     /**
@@ -845,7 +856,8 @@ typedef struct PanoscopeParam {
      */
     uint32_t kind;
     /**
-     * `PANOSCOPE_PARAM_REOPEN`, `PANOSCOPE_PARAM_MUST_EXIST`, `PANOSCOPE_PARAM_POINTS`, `PANOSCOPE_PARAM_RECTANGLES`, `PANOSCOPE_PARAM_FILE`, `PANOSCOPE_PARAM_WRITES`, `PANOSCOPE_PARAM_SHIPPED`.
+     * `PANOSCOPE_PARAM_REOPEN`, `PANOSCOPE_PARAM_MUST_EXIST`, `PANOSCOPE_PARAM_POINTS`, `PANOSCOPE_PARAM_RECTANGLES`, `PANOSCOPE_PARAM_FILE`, `PANOSCOPE_PARAM_WRITES`,
+     * `PANOSCOPE_PARAM_SHIPPED`.
      */
     uint32_t flags;
     /**
@@ -869,7 +881,7 @@ typedef struct PanoscopeParam {
      */
     struct PanoscopeStr default_text;
     /**
-     * Words of a `PANOSCOPE_PARAM_CHOICE`.
+     * Names of the entries of a `PANOSCOPE_PARAM_CHOICE`.
      */
     const struct PanoscopeStr *choices;
     /**
@@ -973,8 +985,8 @@ typedef struct PanoscopeValidateCall {
      */
     uint64_t outputs_read;
     /**
-     * Takes one problem: a `PANOSCOPE_PROBLEM_` severity, the position of the parameter it is about (or PANOSCOPE_NO_PARAM), what is wrong in one
-     * sentence, and what to do about it (may be empty). Texts are copied.
+     * Takes one problem: a `PANOSCOPE_PROBLEM_` severity, the position of the parameter it is about (or PANOSCOPE_NO_PARAM), what is
+     * wrong in one sentence, and what to do about it (may be empty). Texts are copied.
      */
     void (*invalid)(void *call, uint32_t severity, uint32_t param, struct PanoscopeStr message, struct PanoscopeStr help);
 } PanoscopeValidateCall;
@@ -1008,7 +1020,7 @@ typedef struct PanoscopeNodeType {
      */
     struct PanoscopeStr family;
     /**
-     * What the node does, for people.
+     * Description of the node, for users.
      */
     struct PanoscopeStr doc;
     /**
@@ -1048,7 +1060,7 @@ typedef struct PanoscopeNodeType {
      */
     void (*close)(void *instance);
     /**
-     * Optional: gives the state worth keeping to PanoscopeHost.save.
+     * Optional: passes the instance's state to PanoscopeHost.save.
      */
     PanoscopeStatus (*save_state)(void *instance, const struct PanoscopeHost *host, void *sink);
     /**
@@ -1056,19 +1068,20 @@ typedef struct PanoscopeNodeType {
      */
     PanoscopeStatus (*load_state)(void *instance, const uint8_t *bytes, size_t len);
     /**
-     * Optional: reports to PanoscopeValidateCall.invalid what PanoscopeNodeType.open or a first tick would refuse about parameters and wiring. Opens
-     * no device, writes nothing and makes no instance; may be called at any time, from any thread. Since `ABI_MINOR` 2.
+     * Optional: reports to PanoscopeValidateCall.invalid parameters and wiring that PanoscopeNodeType.open or the first tick
+     * would refuse. Opens no device, writes nothing and makes no instance; may be called at any time, from any thread.
+     * Since `ABI_MINOR` 2.
      */
     PanoscopeStatus (*validate)(struct PanoscopeValidateCall *call);
     /**
-     * Optional: completes files before PanoscopeNodeType.close and says through PanoscopeHost.fail what could not be written. `call` is the handle
-     * for host functions that take one. Since `ABI_MINOR` 2.
+     * Optional: completes files before PanoscopeNodeType.close and reports through PanoscopeHost.fail what could not be
+     * written. `call` is the handle for host functions that take one. Since `ABI_MINOR` 2.
      */
     PanoscopeStatus (*finish)(void *instance, const struct PanoscopeHost *host, void *call);
 } PanoscopeNodeType;
 
 /**
- * What the ELF file says of a plugin before any of its code runs. Texts are zero-padded.
+ * Description of a plugin in its ELF file, readable before any of its code runs. Texts are zero-padded.
  */
 typedef struct PanoscopeNoteBody {
     /**
@@ -1114,13 +1127,13 @@ typedef struct PANOSCOPE_ALIGNED(4) PanoscopeNote {
      */
     uint8_t owner[12];
     /**
-     * What is said.
+     * Payload of the record.
      */
     struct PanoscopeNoteBody body;
 } PanoscopeNote;
 
 /**
- * What a plugin is.
+ * Descriptor that a plugin exports.
  */
 typedef struct PanoscopePlugin {
     /**
@@ -1152,7 +1165,7 @@ typedef struct PanoscopePlugin {
      */
     struct PanoscopeStr version;
     /**
-     * What the plugin is for.
+     * Purpose of the plugin.
      */
     struct PanoscopeStr doc;
     /**
@@ -1223,7 +1236,7 @@ typedef struct PanoscopeJoints {
 } PanoscopeJoints;
 
 /**
- * Packet `pose`: where frame `b` stands in frame `a`.
+ * Packet `pose`: position and orientation of frame `b` in frame `a`.
  */
 typedef struct PanoscopePose {
     /**
@@ -1275,7 +1288,7 @@ typedef struct PanoscopeScalar {
      */
     double value;
     /**
-     * What it is, zero-padded.
+     * Name of the number, zero-padded.
      */
     uint8_t name[32];
     /**
@@ -1346,22 +1359,22 @@ typedef struct PanoscopeTip {
 #define PANOSCOPE_STATUS_OK 0
 
 /**
- * A source has nothing left to give.
+ * The source has ended.
  */
 #define PANOSCOPE_STATUS_END 1
 
 /**
- * The node failed; its words were given to PanoscopeHost.fail.
+ * The node failed; its message was passed to PanoscopeHost.fail.
  */
 #define PANOSCOPE_STATUS_ERROR (-1)
 
 /**
- * The node panicked or threw; its words were given to PanoscopeHost.fail.
+ * The node panicked or threw; its message was passed to PanoscopeHost.fail.
  */
 #define PANOSCOPE_STATUS_PANIC (-2)
 
 /**
- * The host's frame memory is used up.
+ * The host's frame memory is exhausted.
  */
 #define PANOSCOPE_STATUS_EXHAUSTED (-3)
 
