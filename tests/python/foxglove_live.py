@@ -270,7 +270,7 @@ class FoxgloveTest(unittest.TestCase):
             ("source.width_px", 7.5, "another type"),
             ("source.none", 1, "no parameter"),
             ("nothing", 1, "no parameter"),
-            ("source.pattern", "none such", "none of"),
+            ("source.pattern", "none such", "not one of"),
             ("level.gain", 1e300, "outside 0 to 8"),
         ):
             answer = client.set(name, value)

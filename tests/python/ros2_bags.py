@@ -251,7 +251,7 @@ class BagTest(unittest.TestCase):
         for name, words, error in (
             ("sqlite", {"storage": StoragePlugin.SQLITE3}, "ros2 bag convert"),
             ("whole", {"compression": CompressionMode.FILE}, "zstd -d"),
-            ("each", {"compression": CompressionMode.MESSAGE}, "compressed one by one"),
+            ("each", {"compression": CompressionMode.MESSAGE}, "compressed individually"),
         ):
             bag, _, _ = self.write(name, **words)
             code, said, _ = self.play(bag)
@@ -272,7 +272,7 @@ class BagTest(unittest.TestCase):
         file.write_bytes(damaged)
         code, said, _ = self.play(bag)
         self.assertNotEqual(code, 0)
-        self.assertRegex(said, "is damaged|cannot be decoded|is no ", said)
+        self.assertRegex(said, "is damaged|cannot be decoded|is not a ", said)
 
 
 if __name__ == "__main__":

@@ -155,7 +155,7 @@ const CASES: &[Case] = &[
         name: "views without their homographies",
         node: "type = \"composite\"\ninputs = { views = [\"scope.left\", \"scope.right\", \"scope.left\"], homographies = [\"map.homography\"] }",
         outputs: &["panorama"],
-        found: (ERROR, NODE, "it", "3 views need 2 homographies, 1 are connected"),
+        found: (ERROR, NODE, "it", "3 views need 2 homographies, but 1 are connected"),
     },
     // --- tools
     Case {

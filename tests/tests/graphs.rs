@@ -78,10 +78,7 @@ fn truth_feeds_only_graphs_whose_names_say_so() {
             judged += 1;
             assert!(!truth.is_empty(), "{name} reads no truth of the phantom: rename it");
             let first = text.text().lines().next().unwrap_or_default();
-            assert!(
-                first.contains("judged") && text.text().contains("phantom's truth"),
-                "{name} does not say so: {first}"
-            );
+            assert!(text.text().contains("phantom's ground truth"), "{name} does not say so: {first}");
             let preset = &graph.preset;
             assert!(preset.pinned.is_empty() && preset.views.is_empty(), "{name} is no preset for a surgeon");
         } else {

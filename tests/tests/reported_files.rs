@@ -47,7 +47,7 @@ static CASES: [Case; 21] = [
     plays("tiff_kinds", &["still.toml", "--left", "bigtiff.tif"], 1, "done"),
     refused("tiff_kinds", &["still.toml", "--left", "one_bit.tif"], "Gray(1)) is not supported"),
     refused("tiff_kinds", &["still.toml", "--left", "planar.tif"], "one plane for each colour"),
-    refused("tiff_kinds", &["still.toml", "--left", "stack.tif"], "it holds 4 pages"),
+    refused("tiff_kinds", &["still.toml", "--left", "stack.tif"], "it has 4 pages"),
     plays("path_bang", &["still.toml", "--left", "wow!.png"], 1, "done"),
     plays("calibration_transposed", &["depthcal.toml", "--cal", "metres.yml"], 0, "is its translation in m?"),
     refused("calibration_transposed", &["depthcal.toml", "--cal", "transposed.yml"], "`M1` is transposed"),

@@ -187,7 +187,7 @@ fn exit_code_and_last_line_tell_what_a_run_came_to() {
     std::fs::write(&silent_graph, silent).expect("written");
     let silent = run(&["run", silent_graph.to_str().expect("UTF-8"), "--frames", "40", "--headless"]);
     assert_eq!(silent.status.code(), Some(1), "{}", silent.all());
-    assert!(silent.err.contains("node `end` never ran: `second.image` never gave"), "{}", silent.all());
+    assert!(silent.err.contains("node `end` never ran: `second.image` returned no packet"), "{}", silent.all());
 
     // A report that cannot be written.
     let report = with(&["--frames", "5", "--report", "/proc/nowhere/report.json"]);

@@ -34,7 +34,10 @@ fn a_model_that_is_none_is_refused_at_its_place() {
     }
     assert_eq!(code, 2, "{words}");
     assert!(words.contains("error[model-refused]") && words.contains("graph.toml:7:20"), "{words}");
-    assert!(words.contains("m.onnx is not a whole ONNX file") && words.contains("`model` of `find` (yolo)"), "{words}");
+    assert!(
+        words.contains("m.onnx is malformed or truncated") && words.contains("`model` of `find` (yolo)"),
+        "{words}"
+    );
     std::fs::remove_dir_all(folder).expect("removed");
 }
 
@@ -145,7 +148,7 @@ fn what_cannot_be_described_is_refused() {
     assert!(code == 2 && words.contains("cannot read the model") && words.contains("m.onnx"), "{words}");
     std::fs::write(&file, &weird()[..40]).expect("a file");
     let (code, _, words) = describe(&file, &[]);
-    assert!(code == 2 && words.contains("m.onnx is not a whole ONNX file"), "{words}");
+    assert!(code == 2 && words.contains("m.onnx is not a complete ONNX file"), "{words}");
     let (code, _, words) = describe(&folder.join("folder.onnx").join(".."), &[]);
     assert!(code == 2 && words.contains("error"), "{words}");
     std::fs::remove_dir_all(folder).expect("removed");

@@ -117,7 +117,7 @@ fn files_that_are_no_tracks_are_named_with_what_to_give() {
         ("none.csv", "seq,source,capture_ms,distance_mm\n1,0,0,4\n".to_owned(), "no columns of positions"),
         ("time.csv", "x_mm,y_mm,z_mm\n1,2,3\n".to_owned(), "no column `capture_ms`"),
         ("back.csv", format!("{head}0,0,100,1,2,3\n1,0,50,1,2,3\n"), "line 3: time goes back"),
-        ("cells.csv", format!("{head}0,0,100,1,2,3\n1,0\n2,0,200,1,2,3\n"), "line 3 has not as many cells"),
+        ("cells.csv", format!("{head}0,0,100,1,2,3\n1,0\n2,0,200,1,2,3\n"), "line 3 has another number of cells"),
         ("clock.csv", format!("{head}0,0,soon,1,2,3\n"), "line 2 has no time"),
         ("words.jsonl", "{\"seq\":0,\"capture_ms\":1}\nwords\n{}\n".to_owned(), "line 2 is not JSON"),
         ("empty.csv", String::new(), "is empty"),

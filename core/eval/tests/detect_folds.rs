@@ -274,7 +274,10 @@ fn wrong_predictions_are_refused_with_file_and_remedy() {
         (|f| f["frames"]["a_000100"] = json!([find(2, 0.5, 0.0)]), &["a_000100", "row 1", "class 2 of 2"]),
         (|f| f["frames"]["a_000100"] = json!([find(0, 1.5, 0.0)]), &["a_000100", "row 1", "score 1.5"]),
         (|f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0, 9.0, 3.0, 12.0]]), &["upper left corner comes first"]),
-        (|f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0]]), &["a_000100", "row 1", "3 numbers; 6 or 7"]),
+        (
+            |f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0]]),
+            &["a_000100", "row 1", "expected 6 or 7 numbers, got 3"],
+        ),
         (
             |f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0, 9.0, 10.0, 12.0, 1.5]]),
             &["a_000100", "row 1", "objectness 1.5"],
@@ -296,7 +299,7 @@ fn wrong_files_of_folds_are_refused() {
     let case = Case::new();
     for (from, to, part) in [
         ("2 = [\"c\"]", "2 = [\"c\", \"a\"]", "operation a is in fold 1 and in fold 2"),
-        ("2 = [\"c\"]", "", "1 fold; a second one is needed"),
+        ("2 = [\"c\"]", "", "1 fold; at least two are needed"),
         ("2 = [\"c\"]", "2 = []", "fold 2 has no operation"),
         ("1 = [\"a\", \"b\"]", "1 = [\"a\"]", "operation b of"),
         ("25.0", "0.0", "frame_rate_hz is 0"),

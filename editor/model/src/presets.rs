@@ -403,7 +403,7 @@ mod tests {
         assert!(changes.changes.is_empty(), "{changes:?}");
         let reasons = changes.skipped.join("\n");
         for reason in
-            ["not a multiple of 4", "`c` is none of", "no such node", "n.gone: the node has no", "n.path: the node"]
+            ["not a multiple of 4", "`c` is not one of", "no such node", "n.gone: the node has no", "n.path: the node"]
         {
             assert!(reasons.contains(reason), "{reason}: {reasons}");
         }

@@ -174,7 +174,7 @@ fn a_cut_off_jpeg_with_a_preview_inside_is_refused() {
     assert!(value(&folder.open(r#"left = "a.jpg""#).process().unwrap(), "left").abs_diff(90) < 30);
     fs::write(folder.0.join("a.jpg"), &with_preview[..with_preview.len() - 20]).unwrap();
     let message = folder.open(r#"left = "a.jpg""#).process().err().unwrap().to_string();
-    assert!(message.contains("cut off"), "{message}");
+    assert!(message.contains("truncated"), "{message}");
 }
 
 #[test]

@@ -83,7 +83,11 @@ fn videos_of_different_rates_are_paired_by_time() {
             assert!(left.abs_diff(time) <= 2 && right.abs_diff(time) <= 2, "{index}: {left} {right}");
             assert!((out.tick().capture_ns - index as i64 * 100_000_000).abs() < 2_000_000, "{:?}", out.tick());
         }
-        assert!(warned(&node, "30.000 per second") && warned(&node, "10.000 per second"), "{:?}", node.logs());
+        assert!(
+            warned(&node, "30.000 frames per second") && warned(&node, "10.000 frames per second"),
+            "{:?}",
+            node.logs()
+        );
         assert!(node.metric("skew_ms").is_some_and(|skew| skew < 2.0), "{:?}", node.metric("skew_ms"));
     }
     // 30 and 25 per second: every pair within half a frame of the faster one, and the skew is said.

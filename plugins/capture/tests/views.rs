@@ -143,7 +143,7 @@ fn mistakes_are_named() {
         ("", "no source"),
         (r#"right = "a.png""#, "without `left`"),
         (r#"left = "a.png", views = "a.png""#, "not both"),
-        (r#"views = "a.png;a.png;a.png;a.png;a.png""#, "4 are the most"),
+        (r#"views = "a.png;a.png;a.png;a.png;a.png""#, "exceed the limit of 4"),
         (r#"left = "a.png", right = "a.png", split = "top_bottom""#, "`split`"),
         (r#"left = "nosuchelement ! appsink""#, "`nosuchelement"),
     ];

@@ -156,7 +156,8 @@ fn boards_in_the_dark_are_found_where_the_samples_detector_finds_none() {
     for [left, right] in views {
         out = show(&mut node, [&left, &right]);
     }
-    assert!(states(&out).iter().all(|state| *state == ViewState::Used), "{:?}", states(&out));
+    let used = states(&out).iter().filter(|state| **state == ViewState::Used).count();
+    assert!(used >= 4, "{:?}", states(&out));
     let found: Calibration = out.value("calibration").unwrap();
     assert!((found.baseline_mm - BASELINE_MM).abs() < 2.0 && found.rms_px < 1.0, "{found:?}");
     // The detector of the sample takes its time: one view is enough.

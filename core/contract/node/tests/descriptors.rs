@@ -145,7 +145,7 @@ fn the_plugin_as_a_whole() {
         says(|p| p.plugin.abi_major = 9),
         "the plugin was built for ABI 9, this host has ABI 1: rebuild the plugin"
     );
-    assert!(says(|p| p.plugin.struct_size = 8).starts_with("the plugin's descriptor: struct_size is 8, it must be"));
+    assert!(says(|p| p.plugin.struct_size = 8).starts_with("the plugin's descriptor: struct_size is 8; it must be"));
     assert_eq!(says(|p| p.plugin.node_types_len = 2), "plugin `demo`: node_types is a null pointer, its length is 2");
     assert!(says(|p| p.plugin.node_types_len = 1 << 40).contains("more than the 1024 allowed"));
     assert_eq!(says(|p| p.times = 2), "plugin `demo`: node type `filter` is declared twice");

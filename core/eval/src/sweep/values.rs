@@ -109,7 +109,7 @@ mod tests {
         assert_eq!(words(&int, 5.0, 9.0, 9), ["5", "7", "9"], "values that become one are taken once");
         assert_eq!(words(&int, 6.0, 24.0, 4), ["7", "13", "19", "23"], "no value lies beyond what was asked for");
         assert_eq!(words(&int, 24.0, 6.0, 2), ["23", "7"], "backwards, too");
-        assert!(of(&int, Some(6.0), Some(6.5), 2).is_err_and(|why| why.to_string().contains("2 apart")));
+        assert!(of(&int, Some(6.0), Some(6.5), 2).is_err_and(|why| why.to_string().contains("the step is 2")));
         assert_eq!(of(&int, None, None, 3).map(|v| v.len()), Ok(3));
         assert!(of(&int, Some(1.0), Some(9.0), 3).is_err_and(|why| why.to_string().contains("outside 5 to 25")));
         assert!(of(&int, Some(5.0), Some(9.0), 1).is_err());

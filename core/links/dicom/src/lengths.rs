@@ -196,7 +196,7 @@ mod tests {
         for (bytes, words) in [
             (implicit((0x10, 0x10), 0xFFFF_FFF0, b"A"), "announced"),
             (implicit((0x40, 0x100), UNDEFINED, b""), "does not end"),
-            (implicit((0x40, 0x100), 8, &implicit(ITEM, 100, b"")), "an item of 100 bytes"),
+            (implicit((0x40, 0x100), 8, &implicit(ITEM, 100, b"")), "an item has 100 bytes"),
             (implicit(ITEM, 0, b""), "outside a sequence"),
             (vec![1, 2, 3], "announced"),
             // An element whose head reaches beyond its item, and one that does not end inside it.

@@ -138,7 +138,7 @@ fn names_that_do_not_fit_are_refused() {
     let long = Message::new("a name of more than 20 bytes", Timestamp::default(), content());
     let mut out = b"kept".to_vec();
     let error = long.encode(&mut out).expect_err("too long").to_string();
-    assert!(error.contains("a device name holds 20") && out == b"kept", "{error}");
+    assert!(error.contains("the limit of a device name is 20") && out == b"kept", "{error}");
     let full = Message::new("exactly 20 bytes 123", Timestamp::default(), content());
     full.encode(&mut out).expect("it fits");
     assert_eq!(Message::decode(&out[4..]).expect("written").device, "exactly 20 bytes 123");

@@ -162,7 +162,7 @@ fn wrong_files_are_refused_with_the_place() {
                 "<parent link=\"base_link\"/><child link=\"turret\"/>",
                 "<parent link=\"wrist\"/><child link=\"turret\"/>",
             ),
-            "circle",
+            "cycle",
         ),
     ];
     for (text, words) in cases {

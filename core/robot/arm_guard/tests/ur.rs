@@ -434,7 +434,7 @@ fn a_controller_that_is_not_suitable_is_refused_with_the_reason() {
         (|b| b.unknown_field = "input_int_register_26", "the controller has no `input_int_register_26`"),
         (|b| b.other_type = "actual_q", "`actual_q` is VECTOR6D in RTDE, but UINT64 here"),
         (|b| b.refuses_start = true, "does not start RTDE"),
-        (|b| b.has_no_serial = true, "gives no serial number but `could not understand"),
+        (|b| b.has_no_serial = true, "instead of a serial number"),
         (|b| b.is_silent = true, "sends no data"),
         (|b| b.is_garbage = true, "is malformed"),
         (

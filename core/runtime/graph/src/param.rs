@@ -321,7 +321,7 @@ mod tests {
         assert_eq!(words(&int, ParamValue::Int(32)), Ok(()));
         assert_eq!(words(&int, ParamValue::Int(33)), Err("the value is not a multiple of 16 from 16".into()));
         assert_eq!(words(&int, ParamValue::Int(8)), Err("the value is outside 16 to 256".into()));
-        assert_eq!(words(&int, ParamValue::Bool(true)), Err("a whole number is expected".into()));
+        assert_eq!(words(&int, ParamValue::Bool(true)), Err("expected a whole number".into()));
         let float = ParamKind::Float { default: 0.0, min: None, max: None, step: None };
         assert_eq!(float.accepts(&ParamValue::Float(f64::NAN)), Err(ValueError::NotFinite));
     }

@@ -177,7 +177,7 @@ fn machine_schema() -> Value {
         "properties": {
             "address": { "type": "string", "description": "Where `panoscope serve` listens there: tls/HOST:PORT, or tcp/HOST:PORT inside one machine." },
             "pixels": { "enum": ["raw", "lz4", "h264"], "default": "raw", "description": "How pixels travel; lz4 compresses without loss, h264 colour pictures with loss." },
-            "timeout_ms": { "type": "integer", "minimum": 100, "maximum": 60000, "default": 1000, "description": "The machine counts as lost when nothing was heard of it for this long." },
+            "timeout_ms": { "type": "integer", "minimum": 100, "maximum": 60000, "default": 1000, "description": "The machine counts as lost when it sent nothing for this long." },
             "plaintext": { "type": "boolean", "default": false, "description": "Allows tcp/ to another machine: without encryption and without a check of who answers." }
         }
     })

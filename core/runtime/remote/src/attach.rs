@@ -137,7 +137,7 @@ impl Connection {
                 || beyond(begin_ns) && !self.is_ready.load(Ordering::Relaxed)
             {
                 lose(match self.is_ready.load(Ordering::Relaxed) {
-                    true => format!("nothing was heard of {address} for {seconds} s"),
+                    true => format!("{address} sent nothing for {seconds} s"),
                     false => format!(
                         "{address} does not answer within {seconds} s: its name is not `{name}`, or it lets no window of this machine attach"
                     ),

@@ -245,7 +245,7 @@ impl Shared {
             let why_gone = |window: &Window| {
                 let sending_ns = window.sending_ns.load(Ordering::Relaxed);
                 if since(window.heard_ns.load(Ordering::Relaxed)) > window.patience {
-                    Some(format!("nothing was heard of it for {} s", window.patience.as_secs_f64()))
+                    Some(format!("it sent nothing for {} s", window.patience.as_secs_f64()))
                 } else if sending_ns != 0 && since(sending_ns) > MAX_STUCK {
                     Some(format!("it has read nothing for {} s", MAX_STUCK.as_secs()))
                 } else {

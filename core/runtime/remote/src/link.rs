@@ -371,7 +371,7 @@ impl Connection {
             let silent_ns = system_ns().saturating_sub(self.heard_ns.load(Ordering::Relaxed)).max(0);
             // Before that `wait_until_ready` says better what is wrong.
             if *lock(&self.is_ready) && Duration::from_nanos(silent_ns.unsigned_abs()) > timeout {
-                lose(format_args!("nothing was heard of {} for {}", self.arguments.address, seconds(timeout)));
+                lose(format_args!("{} sent nothing for {}", self.arguments.address, seconds(timeout)));
             }
             let numbers = LinkNumbers {
                 clock: self.offset(),

@@ -9,12 +9,12 @@ use crate::stereo::StereoError;
 use crate::stereo::bilateral_grid::{BilateralGrid, MAX_SIGMA_XY};
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
+use crate::stereo::filter_input::FilterInput;
 use crate::stereo::grid_solver::GridSolver;
 use crate::stereo::kept_regions::KeptRegions;
 use crate::stereo::matching::{again, fill_nan};
 use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
-use crate::stereo::wls::FilterInput;
 use crate::{Parallel, Rect, Serial, SharedMut, Simd, View, ViewMut};
 
 /// Size of the grid's cells and strength of the solver.

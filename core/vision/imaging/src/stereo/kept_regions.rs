@@ -5,8 +5,8 @@
 //! the same surface beside it than its edge would have, is an object and keeps its disparities.
 
 use crate::stereo::confidence::ConfidenceParams;
+use crate::stereo::filter_input::FilterInput;
 use crate::stereo::shared_field::is_seen_by_both;
-use crate::stereo::wls::FilterInput;
 use crate::{Parallel, Rect, SharedMut, ViewMut};
 
 /// Smallest area of a region, in squares of the radius of the scatter and [`EDGE_PX`]: wrong matches are about as large as a matcher's window.

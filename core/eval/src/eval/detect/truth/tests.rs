@@ -155,7 +155,7 @@ fn the_layouts_of_public_tools_are_found() {
     // Labels that nobody finds are no truth of empty pictures.
     fs::rename(home.join("valid/labels"), home.join("valid/boxes")).unwrap();
     let error = read(&Silent, &home, Some("valid"), None).unwrap_err().to_string();
-    assert!(error.contains("no object in 1 pictures"), "{error}");
+    assert!(error.contains("no labelled object in 1 images"), "{error}");
     fs::remove_dir_all(home).unwrap();
 }
 
@@ -250,7 +250,7 @@ fn what_is_wrong_in_a_via_file_is_told_with_picture_and_region() {
             region("{\"name\":\"polygon\",\"all_points_x\":[1,2,\"a\"],\"all_points_y\":[1,2,3]}", class),
             "`all_points_x`",
         ),
-        (region("{\"name\":\"circle\",\"cx\":900,\"cy\":5,\"r\":2}", class), "no pixel of the 20x10"),
+        (region("{\"name\":\"circle\",\"cx\":900,\"cy\":5,\"r\":2}", class), "no pixel inside the image of 20x10"),
         (region(&rect(",\"width\":5,\"height\":2"), "{}"), "no `region_attributes`"),
         (region(&rect(",\"width\":5,\"height\":2"), "{\"class\":\"\"}"), "`class` is empty"),
         (

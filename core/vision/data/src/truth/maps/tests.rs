@@ -80,7 +80,7 @@ fn of_scared_points_the_third_number_is_depth() {
     let map = decode("tiff", &tiff_of::<colortype::RGB32Float>(&points)).expect("a map");
     assert_eq!(map.image.data, [50.0, 51.0, 52.0, 53.0, 54.0, 55.0]);
     let colours = tiff_of::<colortype::RGB8>(&[1; 18]);
-    assert!(decode("tif", &colours).expect_err("colours").to_string().contains("colours"));
+    assert!(decode("tif", &colours).expect_err("colours").to_string().contains("colour image"));
 }
 
 #[test]
