@@ -279,7 +279,7 @@ class FoxgloveTest(unittest.TestCase):
             client.errors.clear()
         said = run.end()
         self.assertIn("foxglove: `source.width_px` was set", said)
-        self.assertIn("`source.width_px` is not set: the value is outside 1 to 16384", said)
+        self.assertIn("`source.width_px` was not set: the value is outside 1 to 16384", said)
 
     def test_only_pins_of_a_preset_are_set(self):
         run = self.run_graph("--foxglove-set", graph=GRAPH + PRESET)

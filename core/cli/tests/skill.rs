@@ -121,7 +121,7 @@ fn files_that_are_no_tracks_are_named_with_what_to_give() {
         ("clock.csv", format!("{head}0,0,soon,1,2,3\n"), "line 2 has no time"),
         ("words.jsonl", "{\"seq\":0,\"capture_ms\":1}\nwords\n{}\n".to_owned(), "line 2 is not JSON"),
         ("empty.csv", String::new(), "is empty"),
-        ("unseen.csv", format!("{head}0,0,100,,,\n"), "no tip in"),
+        ("unseen.csv", format!("{head}0,0,100,,,\n"), "no positions of a tip"),
     ];
     for (name, text, want) in cases {
         let (code, _, err) = run(&["eval", "skill", &file(&folder, name, &text)]);

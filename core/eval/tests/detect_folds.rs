@@ -282,7 +282,7 @@ fn wrong_predictions_are_refused_with_file_and_remedy() {
             |f| f["frames"]["a_000100"] = json!([[0, 0.5, 9.0, 9.0, 10.0, 12.0, 1.5]]),
             &["a_000100", "row 1", "objectness 1.5"],
         ),
-        (|f| f["frames"] = json!(3), &["holds no predictions of a fold"]),
+        (|f| f["frames"] = json!(3), &["has no predictions of a fold"]),
     ];
     for (change, parts) in changes {
         let mut case = Case::new();

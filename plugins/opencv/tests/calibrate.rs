@@ -150,7 +150,7 @@ fn boards_in_the_dark_are_found_where_the_samples_detector_finds_none() {
             noisy(view, seed)
         })
     });
-    let mut node = open("model = \"radial\", solve_at = 5");
+    let mut node = open("model = \"radial\", min_views = 4, solve_at = 5");
     let first = views.next().expect("a view");
     let mut out = show(&mut node, [&first[0], &first[1]]);
     for [left, right] in views {
