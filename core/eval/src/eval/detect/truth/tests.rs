@@ -257,7 +257,10 @@ fn what_is_wrong_in_a_via_file_is_told_with_picture_and_region() {
             region(&rect(",\"width\":5,\"height\":2"), "{\"a\":\"x\",\"b\":\"y\"}"),
             "attributes a, b none is called class",
         ),
-        (region(&rect(",\"width\":5,\"height\":2"), "{\"tool\":{\"hook\":true,\"grasper\":true}}"), "2 boxes of `tool` are ticked"),
+        (
+            region(&rect(",\"width\":5,\"height\":2"), "{\"tool\":{\"hook\":true,\"grasper\":true}}"),
+            "2 boxes of `tool` are ticked",
+        ),
         ("7".to_owned(), "no `shape_attributes`"),
     ] {
         let file = home.join("via.json");
