@@ -1698,9 +1698,9 @@ class NodeTypes:
         kind: Kind of measurement. (default "distance")
         points: Points of the left rectified view in px: u, v, u, v, ... (default [])
         radius_px: Radius of the neighbourhood to which a surface is fitted at each point. (1 to 32 px; default 4)
-        disparity_noise_px: Standard deviation of a filtered disparity on a smooth, well matched surface. Scatter around the point and lacking confidence add to it. (0 to 4 px; default 0.1)
-        disparity_offset_px: Standard deviation of the calibration's disparity offset; 0.8 of its reprojection error is used when larger. (0 to 4 px; default 0.05)
-        baseline_error_mm: Standard deviation of the calibration's baseline. (0 to 4 mm; default 0.02)
+        disparity_noise_px: Standard deviation of a filtered disparity, in addition to the scatter around the point. (0 to 4 px; default 0.15)
+        disparity_offset_px: Standard deviation of the calibration's disparity offset; its reprojection error is used when larger. (0 to 4 px; default 0.05)
+        baseline_error_mm: Standard deviation of the calibration's baseline. (0 to 4 mm; default 0.05)
         focal_error_percent: Standard deviation of the calibration's focal length. (0 to 10 %; default 0.1)"""
 
     def mosaic(

@@ -89,10 +89,10 @@ pub struct MeasureParams {
     /// Radius of the neighbourhood to which a surface is fitted at each point.
     #[param(default = 4, range = 1..=32, unit = "px")]
     radius_px: usize,
-    /// Standard deviation of a filtered disparity on a smooth, well matched surface. Scatter around the point and lacking confidence add to it.
+    /// Standard deviation of a filtered disparity, in addition to the scatter around the point.
     #[param(default = Noise::USUAL.disparity_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_noise_px: f64,
-    /// Standard deviation of the calibration's disparity offset; 0.8 of its reprojection error is used when larger.
+    /// Standard deviation of the calibration's disparity offset; its reprojection error is used when larger.
     #[param(default = Noise::USUAL.offset_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_offset_px: f64,
     /// Standard deviation of the calibration's baseline.
@@ -105,10 +105,6 @@ pub struct MeasureParams {
 
 /// What is written in place of lengths.
 const DRIFTED: &str = "no lengths: the calibration does not fit";
-
-/// A point of which nothing is known.
-const UNKNOWN: SurfacePoint =
-    SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN, around: f64::NAN, confidence: 1.0 };
 
 /// See the module.
 pub struct Measure {
@@ -165,8 +161,8 @@ impl Measure {
                 .then_some(tip.xyz_mm)
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
             places.push(given.map_or(seen, |[x, y, z]| {
-                let seen = seen.unwrap_or(SurfacePoint { scatter: 0.0, around: 0.0, ..UNKNOWN });
-                Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, ..seen })
+                let (scatter, confidence) = seen.map_or((0.0, 1.0), |point| (point.scatter, point.confidence));
+                Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter, confidence })
             }));
         }
         for found in input.detections.as_ref().map_or(&[][..], Detections::items) {
@@ -185,7 +181,9 @@ impl Measure {
         let starts = (0..self.places.len()).step_by(step).take_while(|start| start + size <= self.places.len());
         for start in starts {
             self.rows.extend(self.given[start..start + size].iter().flatten());
-            let mut points = [UNKNOWN; length::MAX_POINTS];
+            let mut points =
+                [SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN, confidence: 1.0 };
+                    length::MAX_POINTS];
             for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
                 *point = place.unwrap_or(*point);
             }

@@ -51,9 +51,7 @@ impl Stated {
     /// Measures on a map of the left view, with the confidence of its filter where there is one.
     pub fn add(&mut self, left: &SyntheticView, found: &[f32], trust: Option<&[f32]>) {
         let per_px = 1.0 / (FOCAL_PX * BASELINE_MM);
-        // The calibration of a rendering is exact.
-        let noise = Noise { offset_px: 0.0, baseline_mm: 0.0, focal_percent: 0.0, ..Noise::USUAL };
-        let errors = Errors::of(FOCAL_PX, BASELINE_MM, f64::NAN, &noise);
+        let errors = Errors::of(FOCAL_PX, BASELINE_MM, f64::NAN, &Noise::USUAL);
         let ray = |x: usize, y: usize| [(x as f64 - CENTRE.0) / FOCAL_PX, (y as f64 - CENTRE.1) / FOCAL_PX];
         let sample = |map: &[f32], x: usize, y: usize| {
             let d = map[y * SIZE.0 + x];
