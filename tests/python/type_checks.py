@@ -106,7 +106,8 @@ class Types(unittest.TestCase):
 
     def check(self, found: list[tuple[str, int, str]]) -> None:
         """Nothing but the lines that are wrong."""
-        self.assertEqual([one for one in found if Path(one[0]) != self.wrong], [])
+        # By its name: mypy gives an unchanged file the path where it first read it.
+        self.assertEqual([one for one in found if Path(one[0]).name != self.wrong.name], [])
         self.assertEqual(sorted({line for _, line, _ in found}), WRONG_LINES, found)
 
     def test_mypy_finds_what_is_wrong_and_nothing_else(self) -> None:
