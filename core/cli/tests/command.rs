@@ -323,10 +323,12 @@ fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
     let (code, _, errors) =
         run(&["calibrate", "--left", &right, "--right", &left, "--board", "chessboard:9x6:25mm", "-o", &out]);
     assert!(code == 1 && errors.contains("left and right look exchanged"), "{code}: {errors}");
-    // With another board nothing is found; every view is named.
+    // With another board nothing is found; every view is named. A part of them is enough: each is searched by both detectors.
+    let pattern = |side: &str| data.join(format!("{side}0?.jpg")).display().to_string();
+    let (left, right) = (pattern("left"), pattern("right"));
     let (code, _, errors) =
         run(&["calibrate", "--left", &left, "--right", &right, "--board", "chessboard:13x4:25mm", "-o", &out]);
-    assert!(code == 1 && errors.contains("left out: left14.jpg right14.jpg: no board was found"), "{code}: {errors}");
+    assert!(code == 1 && errors.contains("left out: left09.jpg right09.jpg: no board was found"), "{code}: {errors}");
 }
 
 #[test]
