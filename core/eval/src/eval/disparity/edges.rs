@@ -45,9 +45,8 @@ pub fn near_objects(truth: &[f32], (width, height): (usize, usize)) -> Vec<bool>
         .collect()
 }
 
-/// Sum of the absolute errors near edges, px, and number of their pixels: those that `counts`, with ground truth and a disparity.
-pub fn edge_errors(found: &[f32], truth: &[f32], size: (usize, usize), counts: impl Fn(usize) -> bool) -> (f64, usize) {
-    let near = near_edges(truth, size);
+/// Sum of the absolute errors where `near` marks an edge, px, and number of their pixels: those that `counts`, with ground truth and a disparity.
+pub fn edge_errors(near: &[bool], found: &[f32], truth: &[f32], counts: impl Fn(usize) -> bool) -> (f64, usize) {
     let judged = (0..truth.len()).filter(|index| near[*index] && counts(*index));
     let errors = judged.map(|index| f64::from((found[index] - truth[index]).abs())).filter(|error| error.is_finite());
     errors.fold((0.0, 0), |(sum, count), error| (sum + error, count + 1))
@@ -77,9 +76,10 @@ mod tests {
         let mut found: Vec<f32> = truth.iter().map(|value| value + 2.0).collect();
         found[10] = f32::NAN;
         // Columns 7 to 16 are near.
-        assert_eq!(edge_errors(&found, &truth, (24, 1), |_| true), (18.0, 9));
-        assert_eq!(edge_errors(&found, &truth, (24, 1), |index| index != 12), (16.0, 8));
-        assert_eq!(edge_errors(&found, &[3.0; 24], (24, 1), |_| true), (0.0, 0), "no edge");
-        assert_eq!(edge_errors(&found, &[f32::NAN; 24], (24, 1), |_| true), (0.0, 0), "no ground truth");
+        let near = |truth: &[f32]| near_edges(truth, (24, 1));
+        assert_eq!(edge_errors(&near(&truth), &found, &truth, |_| true), (18.0, 9));
+        assert_eq!(edge_errors(&near(&truth), &found, &truth, |index| index != 12), (16.0, 8));
+        assert_eq!(edge_errors(&near(&[3.0; 24]), &found, &[3.0; 24], |_| true), (0.0, 0), "no edge");
+        assert_eq!(edge_errors(&near(&[f32::NAN; 24]), &found, &[f32::NAN; 24], |_| true), (0.0, 0), "no ground truth");
     }
 }

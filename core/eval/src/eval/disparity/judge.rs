@@ -7,7 +7,7 @@ use panoscope_imaging::stereo::{BAD_PX, score_disparity};
 
 use super::chains::{self, ChainOutput};
 use super::data::Picture;
-use super::edges::edge_errors;
+use super::edges::{edge_errors, near_edges};
 use super::own_graph::OwnGraph;
 use super::picture;
 use crate::error::Result;
@@ -84,7 +84,7 @@ impl Judge<'_> {
         self.add(format!("density/{case}/{chain}"), 100.0 * score.density, "%", input);
         self.add(format!("mean_error/{case}/{chain}"), score.mean_error_px, "px", input);
         let counts = |index: usize| truth.mask.as_ref().is_none_or(|mask| mask[index] != 0);
-        let (sum, count) = edge_errors(found, &truth.disparity, size, counts);
+        let (sum, count) = edge_errors(&near_edges(&truth.disparity, size), found, &truth.disparity, counts);
         if count > 0 {
             self.add(format!("edge_error/{case}/{chain}"), sum / count as f64, "px", input);
         }

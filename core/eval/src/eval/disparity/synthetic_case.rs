@@ -4,7 +4,7 @@ use panoscope_base::Threads;
 
 use super::chains;
 use super::data::Picture;
-use super::edges::{FAR_PX, near_edges, near_objects};
+use super::edges::{FAR_PX, edge_errors, near_edges, near_objects};
 use super::judge::Judge;
 use super::picture;
 use super::stated::Stated;
@@ -37,6 +37,8 @@ impl Errors {
     fn add(&mut self, SyntheticPair([left, _]): &SyntheticPair, found: &[f32]) {
         let edges = near_edges(&left.disparity, synthetic::SIZE);
         let objects = near_objects(&left.disparity, synthetic::SIZE);
+        let (sum, count) = edge_errors(&edges, found, &left.disparity, |index| left.visible[index] != 0);
+        self.edge_errors = (self.edge_errors.0 + sum, self.edge_errors.1 + count);
         for (index, (found, truth)) in found.iter().zip(&left.disparity).enumerate() {
             let off_px = (found - truth).abs();
             if off_px.is_finite() {
@@ -50,10 +52,6 @@ impl Errors {
                     let is_right = off_px <= 2.0;
                     count[1] += usize::from(!is_right);
                 }
-            }
-            if edges[index] && left.visible[index] != 0 && off_px.is_finite() {
-                self.edge_errors.0 += f64::from(off_px);
-                self.edge_errors.1 += 1;
             }
         }
         for ((found, truth), visible) in found.iter().zip(&left.disparity).zip(&left.visible) {
