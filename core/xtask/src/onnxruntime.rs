@@ -7,7 +7,8 @@ use anyhow::{Result, bail};
 use crate::wheel::Wheel;
 use crate::workspace::Workspace;
 
-const VERSION: &str = "1.31.1";
+/// Pinned version.
+pub const VERSION: &str = "1.31.1";
 pub const LIBRARY: &str = "libonnxruntime.so.1.31.1";
 const MEMBERS: &[&str] =
     &["onnxruntime/capi/libonnxruntime.so.1.31.1", "onnxruntime/LICENSE", "onnxruntime/ThirdPartyNotices.txt"];

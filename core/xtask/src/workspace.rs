@@ -83,6 +83,23 @@ impl Workspace {
         cargo
     }
 
+    /// Cargo for release builds, whose `--version` names the commit.
+    pub fn cargo_release(&self) -> Command {
+        let mut cargo = self.cargo();
+        if let Some(commit) = self.commit() {
+            cargo.env("PANOSCOPE_COMMIT", commit);
+        }
+        cargo
+    }
+
+    /// The commit that is checked out, with a `+` if files differ from it. `None` outside a repository.
+    pub fn commit(&self) -> Option<String> {
+        let git = |args: &[&str]| process::capture(Command::new("git").current_dir(&self.root).args(args)).ok();
+        let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
+        let differs = git(&["status", "--porcelain", "--untracked-files=no"]).is_none_or(|files| !files.is_empty());
+        Some(format!("{}{}", commit.trim(), if differs { "+" } else { "" }))
+    }
+
     /// Files fetched for tests and benches.
     pub fn data_dir(&self) -> PathBuf {
         self.target.join("data")

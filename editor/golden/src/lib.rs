@@ -123,16 +123,23 @@ impl<'a> Triangle<'a> {
             && p[0] < f64::from(clip.right())
             && p[1] >= f64::from(clip.top())
             && p[1] < f64::from(clip.bottom());
-        let weights = [edge(at[1], at[2], p), edge(at[2], at[0], p), edge(at[0], at[1], p)];
-        let sides = [(at[1], at[2]), (at[2], at[0]), (at[0], at[1])];
-        let inside = weights.iter().zip(sides).all(|(w, (a, b))| *w > 0.0 || (*w == 0.0 && owns(a, b)));
-        if !inside || !inside_clip {
+        if !inside_clip {
             return None;
         }
+        let mut weights = [0.0; 3];
+        for (weight, (a, b)) in weights.iter_mut().zip([(at[1], at[2]), (at[2], at[0]), (at[0], at[1])]) {
+            *weight = edge(a, b, p);
+            let is_inside = *weight > 0.0 || (*weight == 0.0 && owns(a, b));
+            if !is_inside {
+                return None;
+            }
+        }
         let share = weights.map(|w| (w / self.area) as f32);
-        let mix = |of: &dyn Fn(&Vertex) -> f32| (0..3).map(|k| of(self.corners[k]) * share[k]).sum::<f32>();
-        let sampled = texel(self.texture, mix(&|v| v.uv.x), mix(&|v| v.uv.y));
-        let tint: Premultiplied = std::array::from_fn(|k| mix(&|v| f32::from(v.color.to_array()[k])));
+        let mix = |[a, b, c]: [f32; 3]| a * share[0] + b * share[1] + c * share[2];
+        let corners = self.corners;
+        let sampled = texel(self.texture, mix(corners.map(|v| v.uv.x)), mix(corners.map(|v| v.uv.y)));
+        let tints = corners.map(|v| v.color.to_array());
+        let tint: Premultiplied = std::array::from_fn(|k| mix(tints.map(|tint| f32::from(tint[k]))));
         Some(std::array::from_fn(|k| sampled[k] * tint[k] / 255.0))
     }
 }

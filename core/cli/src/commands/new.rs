@@ -35,7 +35,8 @@ struct Plugin {
     /// Folder to make; default: the plugin's name.
     #[arg(long, value_name = "FOLDER")]
     dir: Option<PathBuf>,
-    /// Folder of Panoscope's own source, for `panoscope-node`; default: where this program was built.
+    /// Folder of Panoscope's own source, for `panoscope-node`; default: where this program was built, and without a
+    /// source there the packaged crates.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["c", "python"])]
     source: Option<PathBuf>,
 }
@@ -207,15 +208,22 @@ fn check_name(name: &str) -> Result<()> {
     Ok(())
 }
 
-/// The folder of the crate `panoscope-node`.
-fn node_crate(source: Option<&Path>) -> Result<PathBuf> {
+/// The requirement of `panoscope-node` in a manifest: this version, from Panoscope's source where it is there.
+fn node_dependency(source: Option<&Path>) -> Result<String> {
+    let version = concat!("version = \"", env!("CARGO_PKG_VERSION"), "\"");
     let built_in = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let root = source.unwrap_or(&built_in);
-    let folder = root.join("core/contract/node");
-    if !folder.join("Cargo.toml").is_file() {
-        bail!("Panoscope's source is not at {}; give its folder with --source FOLDER", root.display());
+    let folder = source.unwrap_or(&built_in).join("core/contract/node");
+    if folder.join("Cargo.toml").is_file() {
+        let folder = fs::canonicalize(&folder).with_context(|| folder.display().to_string())?;
+        return Ok(format!("{version}, path = {folder:?}"));
     }
-    fs::canonicalize(&folder).with_context(|| folder.display().to_string())
+    if let Some(source) = source {
+        bail!(
+            "Panoscope's source is not at {}; leave --source out to build against its packaged crates",
+            source.display()
+        );
+    }
+    Ok(version.to_owned())
 }
 
 fn write(plugin: &Plugin) -> Result<PathBuf> {
@@ -227,7 +235,7 @@ fn write(plugin: &Plugin) -> Result<PathBuf> {
     }
     let language = plugin.language();
     let dependency = match language {
-        Language::Rust => format!("path = {:?}", node_crate(plugin.source.as_deref())?),
+        Language::Rust => node_dependency(plugin.source.as_deref())?,
         Language::C | Language::Python => String::new(),
     };
     let node = name.replace('-', "_");
@@ -263,6 +271,15 @@ mod tests {
             assert!(check_name(name).is_err(), "{name}");
         }
         assert!(check_name("edge_filter_2").is_ok());
+    }
+
+    #[test]
+    fn a_plugin_names_the_version_of_its_crate_and_the_source_if_it_is_there() {
+        let version = format!("version = {:?}", env!("CARGO_PKG_VERSION"));
+        let here = node_dependency(None).unwrap();
+        assert!(here.starts_with(&version) && here.contains("core/contract/node"), "{here}");
+        let error = node_dependency(Some(Path::new("/nowhere"))).unwrap_err().to_string();
+        assert!(error.contains("source is not at /nowhere"), "{error}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The plugins that `panoscope new plugin` writes build and pass their own tests.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -38,7 +39,7 @@ fn copy(from: &Path, to: &Path) {
             .replace("{{name}}", NAME)
             .replace("{{node}}", "my_filter")
             .replace("{{lib}}", "my_filter")
-            .replace("{{panoscope_node_dependency}}", &format!("path = {:?}", root().join("core/contract/node")))
+            .replace("{{panoscope_node_dependency}}", &format!("version = {:?}", env!("CARGO_PKG_VERSION")))
             .replace("{{panoscope_include}}", &root().join("core/contract/abi").display().to_string());
         assert!(!text.contains("{{"), "{}: a placeholder is left", path.display());
         std::fs::write(to.join(name), text).expect("a folder for tests");
@@ -59,13 +60,39 @@ fn graph_parses(folder: &Path) {
     assert_eq!(graph.plugin_paths().len(), 1);
 }
 
+/// The crates that a plugin outside this repository needs.
+const PUBLISHED: [&str; 5] =
+    ["panoscope-abi", "panoscope-base", "panoscope-graph", "panoscope-node", "panoscope-node-derive"];
+
+/// Packages the crates for authors of plugins, and unpacks them. Returns lines of a manifest that replace those of the
+/// registry.
+fn packaged(cargo: &OsStr) -> String {
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("packaged");
+    let mut command = Command::new(cargo);
+    command.args(["package", "--allow-dirty", "--no-verify", "--offline"]).current_dir(root());
+    command.args(PUBLISHED.iter().flat_map(|name| ["--package", name])).env("CARGO_TARGET_DIR", &target);
+    succeeds(&mut command);
+    let folder = target.join("package");
+    let patch = PUBLISHED.iter().map(|name| {
+        let crate_name = format!("{name}-{}", env!("CARGO_PKG_VERSION"));
+        let mut tar = Command::new("tar");
+        tar.args(["--extract", "--gzip", "--file", &format!("{crate_name}.crate")]).current_dir(&folder);
+        succeeds(&mut tar);
+        format!("{name} = {{ path = {:?} }}\n", folder.join(crate_name))
+    });
+    format!("\n[patch.crates-io]\n{}", patch.collect::<String>())
+}
+
 #[test]
 fn the_rust_template() {
     let folder = fill("rust");
     graph_parses(&folder);
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let manifest = folder.join("Cargo.toml");
+    let text = std::fs::read_to_string(&manifest).expect("it was written") + &packaged(&cargo);
+    std::fs::write(manifest, text).expect("a folder for tests");
     // Uses the dependency versions of this workspace.
     std::fs::copy(root().join("Cargo.lock"), folder.join("Cargo.lock")).expect("a lock file");
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("new_target");
     let run = |arguments: &[&str]| {
         let mut command = Command::new(&cargo);

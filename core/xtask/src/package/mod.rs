@@ -5,6 +5,7 @@
 
 mod check;
 mod deb;
+mod sbom;
 mod tree;
 mod wheel;
 
@@ -86,7 +87,7 @@ impl<'a> Release<'a> {
         Ok(fs::remove_dir_all(&generated)?)
     }
 
-    /// Adds documents: an introduction, licences, the cards of the models.
+    /// Adds documents: an introduction, licences, the cards of the models, the bill of materials.
     fn add_documents(&self) -> Result<()> {
         let (library, doc) = (self.tree.join(LIBRARY), self.tree.join("share/doc/panoscope"));
         copy(&self.source("README.md"), &doc.join("README.md"))?;
@@ -103,6 +104,7 @@ impl<'a> Release<'a> {
         for card in tree::markdown_files(&library.join("plugins"))? {
             tree::move_file(&card, &doc.join(card.file_name().unwrap_or_default()))?;
         }
+        tree::write(&doc.join(sbom::FILE), &sbom::bill(self.workspace)?)?;
         let notices = doc.join("third-party-notices");
         tree::write(&notices, &licences::notices(self.workspace)?)?;
         run(Command::new("gzip").args(["-9", "--no-name"]).arg(notices))

@@ -10,7 +10,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use super::tree::{copy, copy_tree, files, write};
-use super::{check::obstacle, commit_time_s};
+use super::{check::obstacle, commit_time_s, sbom};
 use crate::build::{Built, Means, Profile, build, program_name, python_package};
 use crate::install::{self, Kind, LIBRARY, Tree, strip};
 use crate::process::{capture, run};
@@ -85,6 +85,7 @@ fn add_metadata(workspace: &Workspace, folder: &Path, version: &str, tag: &str) 
     write(&folder.join("WHEEL"), &wheel)?;
     write(&folder.join("entry_points.txt"), "[console_scripts]\npanoscope = panoscope.installation:main\n")?;
     copy(&workspace.root.join("LICENSE"), &folder.join("licenses/LICENSE"))?;
+    write(&folder.join("sboms").join(sbom::FILE), &sbom::bill(workspace)?)?;
     write(&folder.join("licenses/third-party-notices"), &licences::notices(workspace)?)
 }
 

@@ -35,7 +35,7 @@ type Point = [f64; 2];
 const MAX_REDNESS: f32 = 0.14;
 /// Minimum red value for the division, because of noise in dark pixels.
 const DARK: f32 = 36.0;
-/// Maximum brightness; brighter pixels are reflections on tissue.
+/// Maximum brightness; brighter pixels are reflections, on tissue or on an instrument.
 const MAX_BRIGHTNESS: f32 = 225.0;
 /// Minimum size of an instrument as a share of the image's pixels.
 const MIN_AREA: f64 = 0.006;
@@ -84,13 +84,14 @@ impl Outlines {
         let count = labels.iter().copied().max().unwrap_or(0);
         let mut instruments = vec![Vec::new(); count];
         let mut cross = |a: usize, b: usize, step: Point| {
-            // One of the two pixels is an instrument, the other is not gray.
-            let (label, is_edge) = match (labels[a], labels[b]) {
-                (0, n) if n > 0 => (n, redness[a] > MAX_REDNESS),
-                (n, 0) if n > 0 => (n, redness[b] > MAX_REDNESS),
+            // One of the two pixels is an instrument, the other is red. A reflection moves between the views, so it has no
+            // outline.
+            let (label, other) = match (labels[a], labels[b]) {
+                (0, n) if n > 0 => (n, redness[a]),
+                (n, 0) if n > 0 => (n, redness[b]),
                 _ => return,
             };
-            if is_edge {
+            if other > MAX_REDNESS && other.is_finite() {
                 let t = f64::from((MAX_REDNESS - redness[a]) / (redness[b] - redness[a]));
                 let point = [(a % width) as f64 + t * step[0], (a / width) as f64 + t * step[1]];
                 if is_inside(point, width, height) {
@@ -153,7 +154,7 @@ impl Outlines {
     }
 }
 
-/// Redness of each pixel, averaged over 3 x 3 pixels. Reflections count as red.
+/// Redness of each pixel, averaged over 3 x 3 pixels; infinite in reflections.
 fn redness(image: &Image) -> Vec<f32> {
     let (width, height) = (image.width, image.height);
     let pixels = image.pixels.as_chunks::<3>().0;
@@ -169,7 +170,7 @@ fn redness(image: &Image) -> Vec<f32> {
                 }
             }
             let [blue, _, red] = sum.map(|v| v / count);
-            out.push(if red > MAX_BRIGHTNESS { 1.0 } else { (red - blue) / red.max(DARK) });
+            out.push(if red > MAX_BRIGHTNESS { f32::INFINITY } else { (red - blue) / red.max(DARK) });
         }
     }
     out
@@ -382,6 +383,23 @@ mod tests {
             let wanted = if view == 0 { -dx } else { -21.3 - dx };
             assert!((offset[0] - wanted).abs() < 1.0 && offset[1].abs() < 1.0, "{dx}: {found:?}");
         }
+    }
+
+    #[test]
+    fn a_reflection_on_an_instrument_is_not_an_outline() {
+        let lit = |width, dx: f64, glint: f64| {
+            let mut image = scene(width, dx, 0.0);
+            for (i, pixel) in image.pixels.chunks_exact_mut(3).enumerate() {
+                let (x, y) = ((i % width) as f64 - dx, (i / width) as f64);
+                if (x - glint).abs() < 20.0 && (y - 130.0 + 0.25 * (x - 60.0)).abs() < 6.0 {
+                    pixel.fill(250);
+                }
+            }
+            image
+        };
+        let views = [lit(320, 0.0, 180.0), lit(320, -21.3, 192.0)];
+        let found = compare(&lit(360, 7.4, 186.0), [&views[0], &views[1]]);
+        assert!(found.deviations_px.len() == 1 && found.deviations_px[0] < 0.5, "{found:?}");
     }
 
     #[test]

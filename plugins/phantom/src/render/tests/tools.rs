@@ -66,8 +66,8 @@ fn rays_enter_parts_where_a_slow_search_does() {
     let axis = round(add(part.b, part.a, -1.0));
     let inside = |p: [f64; 3]| {
         let p = round(add(p, part.a, -1.0));
-        (0..=2000).any(|i| {
-            let s = f64::from(i) / 2000.0;
+        (0..=400).any(|i| {
+            let s = f64::from(i) / 400.0;
             let gap = add(p, axis, -s);
             dot(gap, gap).sqrt() < 3.0 + (1.2 - 3.0) * s
         })
