@@ -17,5 +17,6 @@ mod skill;
 mod stitch_sweeps;
 mod studies;
 mod tune;
+mod versions;
 mod watch;
 mod web;
