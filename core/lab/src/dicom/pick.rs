@@ -3,7 +3,7 @@
 use std::io::{BufRead, IsTerminal, Write};
 
 use anyhow::{Result, bail};
-use panoscope_dicom::Entry;
+use panoscope_export::dicom::Entry;
 use panoscope_engine::text_table::table as text_table;
 
 use panoscope_cli::terminal::log;

@@ -10,10 +10,10 @@ use dicom_object::InMemDicomObject;
 use dicom_transfer_syntax_registry::entries::IMPLICIT_VR_LITTLE_ENDIAN;
 use dicom_ul::association::server::{ServerAssociation, ServerAssociationOptions};
 use dicom_ul::pdu::{PDataValue, PDataValueType, Pdu};
-use panoscope_dicom::export::{Input, Kind, wrap};
-use panoscope_dicom::net::{Peer, echo, worklist};
-use panoscope_dicom::object::Region;
-use panoscope_dicom::{Entry, Query, outbox};
+use panoscope_export::dicom::export::{Input, Kind, wrap};
+use panoscope_export::dicom::net::{Peer, echo, worklist};
+use panoscope_export::dicom::object::Region;
+use panoscope_export::dicom::{Entry, Query, outbox};
 use panoscope_testing::Folder;
 
 const WORKLIST: &str = "1.2.840.10008.5.1.4.31";

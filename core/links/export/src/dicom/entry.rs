@@ -7,11 +7,11 @@ use dicom_dictionary_std::tags;
 use dicom_encoding::text::SpecificCharacterSet;
 use dicom_transfer_syntax_registry::entries::{EXPLICIT_VR_LITTLE_ENDIAN, IMPLICIT_VR_LITTLE_ENDIAN};
 
-use crate::element::{Set, empty, first_item, read, sequence, set, text};
-use crate::error::{DicomError, Result, chain};
-use crate::lengths::{self, Encoding};
-use crate::part10::{self, MAX_ENTRY_BYTES};
-use crate::uid;
+use crate::dicom::element::{Set, empty, first_item, read, sequence, set, text};
+use crate::dicom::error::{DicomError, Result, chain};
+use crate::dicom::lengths::{self, Encoding};
+use crate::dicom::part10::{self, MAX_ENTRY_BYTES};
+use crate::dicom::uid;
 
 /// A procedure in a worklist, copied unchanged into each object of the study.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::entry::Entry;
-use crate::error::{DicomError, Result};
-use crate::object::{Clip, Group, Lengths, Region, Report, Still, Study};
-use crate::part10::Pending;
+use crate::dicom::entry::Entry;
+use crate::dicom::error::{DicomError, Result};
+use crate::dicom::object::{Clip, Group, Lengths, Region, Report, Still, Study};
+use crate::dicom::part10::Pending;
 
 /// Extensions of exported stills.
 const STILLS: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];

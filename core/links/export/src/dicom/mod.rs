@@ -8,7 +8,7 @@
 //! | [`net`] | echo, worklist query and storage over the network |
 //! | [`outbox`] | a folder of objects that wait to be sent |
 //!
-//! This crate does not know graphs. File names are UIDs; identities are written only into objects. Bytes from the
+//! This module does not know graphs. File names are UIDs; identities are written only into objects. Bytes from the
 //! network and from files are checked before use: lengths lie inside what has come, and are capped.
 
 mod element;

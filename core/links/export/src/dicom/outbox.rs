@@ -5,9 +5,9 @@ use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
-use crate::error::{DicomError, Result};
-use crate::net::{self, Object, Peer};
-use crate::part10::Head;
+use crate::dicom::error::{DicomError, Result};
+use crate::dicom::net::{self, Object, Peer};
+use crate::dicom::part10::Head;
 
 /// Result of sending the objects of an outbox.
 #[derive(Debug, Default)]

@@ -9,10 +9,10 @@ use dicom_dictionary_std::tags;
 use dicom_object::{FileMetaTable, FileMetaTableBuilder};
 use dicom_transfer_syntax_registry::entries::EXPLICIT_VR_LITTLE_ENDIAN;
 
-use crate::element::{Set, read};
-use crate::error::{DicomError, Result, chain};
-use crate::lengths::{self, Encoding, LengthError};
-use crate::uid;
+use crate::dicom::element::{Set, read};
+use crate::dicom::error::{DicomError, Result, chain};
+use crate::dicom::lengths::{self, Encoding, LengthError};
+use crate::dicom::uid;
 
 /// Transfer syntax UID of explicit VR little endian, uncompressed.
 pub const EXPLICIT: &str = "1.2.840.10008.1.2.1";
@@ -221,7 +221,7 @@ fn head(object: &Set, transfer_syntax: &str) -> io::Result<FileMetaTable> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::element::{set, text};
+    use crate::dicom::element::{set, text};
     use dicom_core::VR;
     use panoscope_testing::Folder;
 

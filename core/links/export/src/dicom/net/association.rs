@@ -12,10 +12,10 @@ use dicom_ul::association::client::{ClientAssociation, ClientAssociationOptions}
 use dicom_ul::pdu::{PDataValue, PDataValueType, Pdu};
 
 use super::Peer;
-use crate::element::{Set, read_number};
-use crate::error::{DicomError, Result, chain};
-use crate::lengths::{self, Encoding, LengthError};
-use crate::part10::MAX_ENTRY_BYTES;
+use crate::dicom::element::{Set, read_number};
+use crate::dicom::error::{DicomError, Result, chain};
+use crate::dicom::lengths::{self, Encoding, LengthError};
+use crate::dicom::part10::MAX_ENTRY_BYTES;
 
 const CONNECT_WAIT: Duration = Duration::from_secs(10);
 /// Maximum silence of a server, which may take long to store a video.

@@ -13,11 +13,11 @@ use std::str::FromStr;
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::tags;
 
-use crate::element::{Set, read_number, text};
-use crate::entry::{Entry, Query};
-use crate::error::{DicomError, Result};
-use crate::lengths::Encoding;
-use crate::part10::{EXPLICIT, Head, IMPLICIT};
+use crate::dicom::element::{Set, read_number, text};
+use crate::dicom::entry::{Entry, Query};
+use crate::dicom::error::{DicomError, Result};
+use crate::dicom::lengths::Encoding;
+use crate::dicom::part10::{EXPLICIT, Head, IMPLICIT};
 use association::Association;
 
 /// SOP class UID of Verification.
@@ -242,7 +242,7 @@ fn status(association: &Association, command: &Set) -> Result<u16> {
 
 fn failed(association: &Association, service: &'static str, status: u16, command: &Set) -> DicomError {
     let comment: String =
-        crate::element::read(command, tags::ERROR_COMMENT).chars().filter(|c| !c.is_control()).collect();
+        crate::dicom::element::read(command, tags::ERROR_COMMENT).chars().filter(|c| !c.is_control()).collect();
     let meaning = match status {
         0x0122 | 0xA800 => "it does not take objects of this class",
         0xA700..=0xA7FF => "it has no room or is too busy; try again later",

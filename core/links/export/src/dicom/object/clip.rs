@@ -12,10 +12,10 @@ use sha2::{Digest, Sha256};
 use super::mp4::{self, Film};
 use super::still::{encapsulated_end, encapsulated_head, lossy, pixel_description};
 use super::{Identity, Study, number_in_name};
-use crate::element::{decimal, sequence, text};
-use crate::error::{DicomError, Result};
-use crate::part10::{Pending, write};
-use crate::time::Moment;
+use crate::dicom::element::{decimal, sequence, text};
+use crate::dicom::error::{DicomError, Result};
+use crate::dicom::part10::{Pending, write};
+use crate::dicom::time::Moment;
 
 /// SOP class UID of Video Endoscopic Image Storage.
 pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.77.1.1.1";

@@ -9,10 +9,10 @@ mod still;
 use dicom_core::VR;
 use dicom_dictionary_std::tags;
 
-use crate::element::{Set, code, empty, sequence, set, text};
-use crate::entry::Entry;
-use crate::time::Moment;
-use crate::uid;
+use crate::dicom::element::{Set, code, empty, sequence, set, text};
+use crate::dicom::entry::Entry;
+use crate::dicom::time::Moment;
+use crate::dicom::uid;
 
 pub use clip::Clip;
 pub use jpeg::{Jpeg, parse as parse_jpeg};

@@ -11,10 +11,10 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
 use super::{Identity, Study, coded};
-use crate::element::{Set, decimal, empty, sequence, set, text};
-use crate::error::{DicomError, Result};
-use crate::part10::{EXPLICIT, Pending, write};
-use crate::time::Moment;
+use crate::dicom::element::{Set, decimal, empty, sequence, set, text};
+use crate::dicom::error::{DicomError, Result};
+use crate::dicom::part10::{EXPLICIT, Pending, write};
+use crate::dicom::time::Moment;
 
 /// SOP class UID of Comprehensive SR Storage.
 pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.88.33";
@@ -259,7 +259,7 @@ impl Report {
         let mut observer = item("HAS OBS CONTEXT", "CODE", ("121005", "DCM", "Observer Type"));
         observer.put(coded(tags::CONCEPT_CODE_SEQUENCE, ("121007", "DCM", "Device")));
         let mut device = item("HAS OBS CONTEXT", "UIDREF", ("121012", "DCM", "Device Observer UID"));
-        device.put(text(tags::UID, VR::UI, crate::uid::IMPLEMENTATION));
+        device.put(text(tags::UID, VR::UI, crate::dicom::uid::IMPLEMENTATION));
         let mut name = item("HAS OBS CONTEXT", "TEXT", ("121013", "DCM", "Device Observer Name"));
         name.put(text(tags::TEXT_VALUE, VR::UT, "Panoscope"));
         object.put(sequence(tags::CONTENT_SEQUENCE, [vec![language, observer, device, name], content].concat()));

@@ -9,10 +9,10 @@ use image::{DynamicImage, ImageReader};
 use sha2::{Digest, Sha256};
 
 use super::{Identity, Study, jpeg, number_in_name};
-use crate::element::{Set, number, text};
-use crate::error::{DicomError, Result};
-use crate::part10::{EXPLICIT, Pending, write};
-use crate::time::Moment;
+use crate::dicom::element::{Set, number, text};
+use crate::dicom::error::{DicomError, Result};
+use crate::dicom::part10::{EXPLICIT, Pending, write};
+use crate::dicom::time::Moment;
 
 /// SOP class UID of Secondary Capture Image Storage.
 pub const CLASS: &str = "1.2.840.10008.5.1.4.1.1.7";
