@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-#[path = "src/syntax.rs"]
+#[path = "src/texts/syntax.rs"]
 mod syntax;
 
 /// The entries of a folder in the order of their names.
@@ -23,7 +23,7 @@ fn stem(path: &Path) -> &str {
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rerun-if-changed=src/syntax.rs");
+    println!("cargo:rerun-if-changed=src/texts/syntax.rs");
     let root = PathBuf::from(std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("texts");
     let mut files = String::new();
     let mut declared: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();

@@ -2,7 +2,7 @@
 
 use eframe::egui::{Align, ComboBox, Label, Layout, Response, RichText, ScrollArea, TextEdit, Ui};
 use panoscope_editor_model::arguments::Form;
-use panoscope_editor_texts::{text, with_decimal_sign};
+use panoscope_editor_model::texts::{text, with_decimal_sign};
 use panoscope_graph::{Arg, ArgKind};
 
 use crate::numbers::drag_value;

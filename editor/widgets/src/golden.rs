@@ -1,6 +1,6 @@
 //! Renders screenshots of a window without a graphics card and compares them with golden images. `PANOSCOPE_BLESS=1` writes the images.
 //!
-//! A package of its own, because it is the only part of the windows' tests whose speed matters.
+//! Here and not in the tests, because it is the only part of them whose speed matters: the windows are built without optimization.
 
 use std::cell::RefCell;
 use std::collections::HashMap;

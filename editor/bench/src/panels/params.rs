@@ -4,7 +4,7 @@ use eframe::egui::{
     Align, Button, ComboBox, Context, Id, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
     UiBuilder, WidgetInfo, WidgetType, vec2,
 };
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_graph::{Param, ParamKind, Pick};
 

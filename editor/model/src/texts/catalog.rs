@@ -9,7 +9,7 @@ use fluent_bundle::{FluentArgs, FluentResource, FluentValue};
 use fluent_syntax::ast::{Attribute, Entry, Expression, InlineExpression, Pattern, PatternElement};
 use unic_langid::LanguageIdentifier;
 
-use crate::{DECLARED, FILES, Language, Value, number};
+use super::{DECLARED, FILES, Language, Value, number};
 
 /// The texts of a language.
 struct Catalog {

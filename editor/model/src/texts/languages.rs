@@ -3,12 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use panoscope_editor_texts::{
+use super::{
     Language, Phrase, Value, bytes, decimal, declared, files, filled, phrase, plain, set_language, text,
 };
-
-#[path = "../src/syntax.rs"]
-mod syntax;
 
 type Texts = BTreeMap<String, BTreeSet<String>>;
 
@@ -112,7 +109,10 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder").flatten() {
         let path = entry.path();
         if path.is_dir() {
-            sources(&path, found);
+            // Every text is named where the languages are compared.
+            if !path.ends_with("model/src/texts") {
+                sources(&path, found);
+            }
         } else if path.extension().is_some_and(|ending| ending == "rs") {
             found.push(path);
         }

@@ -2,7 +2,7 @@
 //! lacks a text. The files are `texts/LANGUAGE/AREA.ftl`, in the format of Project Fluent, and embedded.
 //!
 //! ```
-//! use panoscope_editor_texts::{Language, decimal, set_language, text};
+//! use panoscope_editor_model::texts::{Language, decimal, set_language, text};
 //!
 //! assert_eq!(text!("alarm-image-old", seconds = decimal(0.42, 1)), "Image is 0.4 s old");
 //! set_language(Language::German);
@@ -14,25 +14,30 @@
 
 mod catalog;
 mod language;
+#[cfg(test)]
+mod languages;
 mod number;
 mod phrase;
+#[cfg(test)]
+mod syntax;
 
 include!(concat!(env!("OUT_DIR"), "/texts.rs"));
 
 pub use language::{Language, language, set_language};
 pub use number::{bytes, decimal, number, with_decimal_sign};
+pub use crate::{phrase, text};
 pub use phrase::{Phrase, Value};
 
 /// The text of a name in the language of this thread: a `&'static str`, or a `String` where it has variables.
 #[macro_export]
 macro_rules! text {
     ($id:expr) => {{
-        const { $crate::assert_declared($id, &[]) };
-        $crate::plain($id)
+        const { $crate::texts::assert_declared($id, &[]) };
+        $crate::texts::plain($id)
     }};
     ($id:expr, $($name:ident = $value:expr),+ $(,)?) => {{
-        const { $crate::assert_declared($id, &[$(stringify!($name)),+]) };
-        $crate::filled($id, &[$((stringify!($name), $crate::Value::from($value))),+])
+        const { $crate::texts::assert_declared($id, &[$(stringify!($name)),+]) };
+        $crate::texts::filled($id, &[$((stringify!($name), $crate::texts::Value::from($value))),+])
     }};
 }
 
@@ -40,8 +45,8 @@ macro_rules! text {
 #[macro_export]
 macro_rules! phrase {
     ($id:expr $(, $name:ident = $value:expr)* $(,)?) => {{
-        const { $crate::assert_declared($id, &[$(stringify!($name)),*]) };
-        $crate::Phrase::new($id, vec![$((stringify!($name), $crate::Value::from($value))),*])
+        const { $crate::texts::assert_declared($id, &[$(stringify!($name)),*]) };
+        $crate::texts::Phrase::new($id, vec![$((stringify!($name), $crate::texts::Value::from($value))),*])
     }};
 }
 
@@ -92,7 +97,7 @@ pub const fn assert_declared(id: &str, variables: &[&str]) {
             _ => high = middle,
         }
     }
-    panic!("no English text has this name; the files are in editor/texts/texts/en");
+    panic!("no English text has this name; the files are in editor/model/texts/en");
 }
 
 const fn contains(names: &[&str], name: &str) -> bool {

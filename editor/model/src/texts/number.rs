@@ -1,6 +1,6 @@
 //! Numbers as languages write them. Only for windows: files and logs have decimal points.
 
-use crate::{Language, Value, language};
+use super::{Language, Value, language};
 
 /// A number with decimal places for a text.
 #[must_use]
@@ -41,7 +41,7 @@ pub fn bytes(count: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::set_language;
+    use crate::texts::set_language;
 
     #[test]
     fn numbers_have_the_sign_of_the_language() {

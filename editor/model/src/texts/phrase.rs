@@ -5,8 +5,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::number::written;
-use crate::{Language, catalog, language};
+use super::number::written;
+use super::{Language, catalog, language};
 
 /// The value of a variable in a text.
 #[derive(Clone, Debug, Serialize, Deserialize)]
