@@ -23,9 +23,9 @@ mod syntax;
 
 include!(concat!(env!("OUT_DIR"), "/texts.rs"));
 
+pub use crate::{phrase, text};
 pub use language::{Language, language, set_language};
 pub use number::{bytes, decimal, number, with_decimal_sign};
-pub use crate::{phrase, text};
 pub use phrase::{Phrase, Value};
 
 /// The text of a name in the language of this thread: a `&'static str`, or a `String` where it has variables.
