@@ -4,14 +4,14 @@
 
 use std::path::{Path, PathBuf};
 
-#[path = "mutations.rs"]
+#[path = "src/engine/mutations.rs"]
 mod mutations;
 
 use mutations::{Change, MUTATIONS};
 
 /// Modules of `std` that the world replaces.
 const REPLACED: [&str; 5] = ["std::sync::", "std::thread::", "std::time::", "std::hint::", "std::collections::"];
-const WORLD: &str = "panoscope_sim_world::";
+const WORLD: &str = "panoscope_sim::world::";
 
 /// Frames are filled with a pattern when they are allocated and when they are released, so that reading old pixels is detected.
 const POISON: [Change; 2] = [
@@ -46,11 +46,11 @@ const FORGET: [Change; 2] = [
 ];
 
 fn main() {
-    let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../core/runtime/engine/src");
+    let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../core/runtime/engine/src");
     let out = PathBuf::from(std::env::var("OUT_DIR").expect("cargo names a folder")).join("engine");
     println!("cargo::rerun-if-changed={}", engine.display());
     println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-changed=mutations.rs");
+    println!("cargo::rerun-if-changed=src/engine/mutations.rs");
     let _ = std::fs::remove_dir_all(&out);
     let mut unused: Vec<&Change> =
         POISON.iter().chain(&FORGET).chain(MUTATIONS.iter().map(|(_, change)| change)).collect();
@@ -78,7 +78,7 @@ fn lay_out(root: &Path, folder: &Path, out: &Path, unused: &mut Vec<&Change>) {
 
 fn simulated(file: &str, mut text: String, unused: &mut Vec<&Change>) -> String {
     if file == "clock.rs" {
-        return "pub use panoscope_sim_world::time::now_ns;\n\npub(crate) fn keep() {}\n".to_owned();
+        return "pub use panoscope_sim::world::time::now_ns;\n\npub(crate) fn keep() {}\n".to_owned();
     }
     let mine = |change: &&Change| change.file == file && text.matches(change.from).count() == 1;
     let (now, later): (Vec<&Change>, Vec<&Change>) = unused.drain(..).partition(mine);
@@ -90,6 +90,8 @@ fn simulated(file: &str, mut text: String, unused: &mut Vec<&Change>) -> String 
         !text.contains("use std::{"),
         "{file}: import modules of `std` one by one, so that the simulated ones replace them"
     );
+    // The sources are a module here and not a crate.
+    text = text.replace("crate::", "crate::engine::");
     // The engine's own tests run where it is.
     text = text.replace("#[cfg(test)]", "#[cfg(any())]");
     for module in REPLACED {

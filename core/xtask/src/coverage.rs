@@ -116,7 +116,10 @@ const PARSERS: &[(&str, &[Source])] = &[
             functions("core/links/export/src/dicom/part10.rs", &["parse"]),
         ],
     ),
-    ("dicom_film", &[all("core/links/export/src/dicom/object/mp4.rs"), all("core/links/export/src/dicom/object/jpeg.rs")]),
+    (
+        "dicom_film",
+        &[all("core/links/export/src/dicom/object/mp4.rs"), all("core/links/export/src/dicom/object/jpeg.rs")],
+    ),
     ("dicom_lengths", &[functions("core/links/export/src/dicom/object/report.rs", &["read", "length"])]),
     (
         "calibration",

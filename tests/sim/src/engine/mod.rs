@@ -1,12 +1,12 @@
-//! The engine in a simulated world: the sources of `core/runtime/engine` as `build.rs` prepares them.
+//! The engine in a simulated world: the sources of `core/runtime/engine` as `build.rs` prepares them, under this module.
 #![allow(warnings, clippy::all, clippy::undocumented_unsafe_blocks, missing_docs)]
 
 include!(concat!(env!("OUT_DIR"), "/engine/lib.rs"));
 
-#[path = "../mutations.rs"]
+#[path = "mutations.rs"]
 mod mutations_of_sources;
 
-/// Names of the defects that [`panoscope_sim_world::mutate`] enables.
+/// Names of the defects that [`crate::world::mutate`] enables.
 pub fn mutations() -> Vec<&'static str> {
     mutations_of_sources::MUTATIONS.iter().map(|(name, _)| *name).collect()
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use crate::thread;
+use crate::world::thread;
 
 /// Behaviour of a disk.
 #[derive(Clone, Debug, Default)]

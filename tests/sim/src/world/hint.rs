@@ -2,5 +2,5 @@
 
 /// Lets another thread run: a spinning thread waits for one.
 pub fn spin_loop() {
-    crate::thread::yield_now();
+    crate::world::thread::yield_now();
 }

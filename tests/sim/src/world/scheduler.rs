@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use crate::random::Dice;
+use crate::world::random::Dice;
 
 /// Settings of a world.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 pub use std::thread::{Result, panicking};
 
-use crate::scheduler::{self, Key, TaskRef};
+use crate::world::scheduler::{self, Key, TaskRef};
 
 /// Number of processors of a simulated machine.
 const PROCESSORS: NonZero<usize> = NonZero::new(4).expect("not 0");

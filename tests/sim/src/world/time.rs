@@ -4,7 +4,7 @@ use std::ops::{Add, AddAssign, Sub};
 
 pub use std::time::Duration;
 
-use crate::scheduler;
+use crate::world::scheduler;
 
 /// Time of the world's clock, ns.
 pub fn now_ns() -> u64 {

@@ -4,7 +4,7 @@ use std::sync::atomic as real;
 
 pub use real::Ordering;
 
-use crate::scheduler::point;
+use crate::world::scheduler::point;
 
 /// As `std::sync::atomic::fence`.
 pub fn fence(order: Ordering) {

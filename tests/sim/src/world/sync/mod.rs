@@ -11,7 +11,7 @@ use std::time::Duration;
 
 pub use std::sync::{Arc, LockResult, PoisonError, TryLockError, TryLockResult, Weak};
 
-use crate::scheduler::{self, Key, point};
+use crate::world::scheduler::{self, Key, point};
 
 /// As `std::sync::Mutex`.
 pub struct Mutex<T: ?Sized> {

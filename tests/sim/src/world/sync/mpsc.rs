@@ -5,7 +5,7 @@ use std::sync::PoisonError;
 use std::time::Duration;
 
 use super::{Arc, Condvar, Mutex, MutexGuard};
-use crate::time::Instant;
+use crate::world::time::Instant;
 
 pub use std::sync::mpsc::{RecvError, RecvTimeoutError, SendError};
 
