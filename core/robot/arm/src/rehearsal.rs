@@ -235,6 +235,20 @@ fn detections(
     reports
 }
 
+/// How the tracker follows tips.
+fn rules() -> Rules {
+    Rules {
+        model: Model { acceleration_mm_s2: 200.0, ..Model::default() },
+        lateral_px: 1.0,
+        disparity_px: 0.5,
+        focal_px: FOCAL_PX,
+        baseline_mm: BASELINE_MM,
+        min_score: 0.3,
+        max_gap_s: 0.3,
+        switch_s: 0.6,
+    }
+}
+
 /// Plays a scenario for `seconds` at `rate_hz`.
 pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz: f64, goals: &Goals) -> Vec<Row> {
     let mut random = Random::new(seed);
@@ -246,16 +260,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
     let mut arm = SimArm::new(quality, JointVector::zeros());
     let (mut tracker, mut controller) = (Tracker::default(), Controller::new(chain.clone()));
     let cameras = CameraGeometry { focal_px: (FOCAL_PX, FOCAL_PX), baseline_mm: BASELINE_MM };
-    let rules = Rules {
-        model: Model { acceleration_mm_s2: 200.0, ..Model::default() },
-        lateral_px: 1.0,
-        disparity_px: 0.5,
-        focal_px: FOCAL_PX,
-        baseline_mm: BASELINE_MM,
-        min_score: 0.3,
-        max_gap_s: 0.3,
-        switch_s: 0.6,
-    };
+    let rules = rules();
     let (mut encoders, mut set_point) = (JointVector::zeros(), JointVector::zeros());
     let mut camera = base_from_home.inverse() * home.base_from_camera;
     let mut rows = Vec::new();
