@@ -1,12 +1,13 @@
 //! Damage of a recording is reported, and never read as other data.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use panoscope_engine::Options;
 use panoscope_record::compare::compare_recordings;
-use panoscope_record::{Coding, Recording, RecordingError};
+use panoscope_record::{Coding, Recording, RecordingError, Replay, ReplayOptions};
 
-use crate::common::{self, scratch};
+use crate::common::{self, PATIENCE, scratch};
 use crate::record::{HEAD, node, replay, source, start};
 
 /// A short recording, as bytes.

@@ -29,13 +29,17 @@ impl SpeckleFilter {
             find_runs(row, step_px, |found| runs.push(y, found, ()));
             runs.end_row(|shared| is_near(&upper[shared.clone()], &row[shared], step_px));
         }
-        let mut gone = 0;
-        for index in 0..runs.len() {
-            let patch = runs.root(index);
-            if runs.get(patch).area() <= area_px {
-                let run = runs.get(index);
-                disparity.row_mut(run.row())[columns.clone()][run.columns()].fill(f32::NAN);
-                gone += run.columns().len();
+        let (mut gone, mut index) = (0, 0);
+        for y in roi.y..roi.y + roi.height {
+            let row = &mut disparity.row_mut(y)[columns.clone()];
+            while index < runs.len() && runs.get(index).row() == y {
+                let patch = runs.root(index);
+                if runs.get(patch).area() <= area_px {
+                    let cleared = runs.get(index).columns();
+                    gone += cleared.len();
+                    row[cleared].fill(f32::NAN);
+                }
+                index += 1;
             }
         }
         gone
