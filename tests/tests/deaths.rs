@@ -22,7 +22,7 @@ const MAX_LOST: u64 = 4;
 /// How a process dies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Death {
-    /// Misbehaviour of the test plugin `chaos`, and the cause of the fault.
+    /// Misbehaviour of the test node `chaos`, and the cause of the fault.
     Harm(&'static str, Cause),
     /// SIGKILL from outside, at any moment.
     Killed,
@@ -84,7 +84,7 @@ impl Case {
         format!(
             r#"
 mode = "batch"
-plugins = ["phantom", "stereo", "overlay", "flow", "chaos"]
+plugins = ["phantom", "stereo", "overlay", "flow", "fixtures"]
 [nodes.frames]
 type = "frames"
 params = {{ width_px = 160, height_px = 120, format = "gray8", pattern = "ramp", rate_hz = 100.0 }}

@@ -85,7 +85,7 @@ fn confined(folder: &Path, harm: &str, deny: &str) -> String {
     format!(
         r#"
 mode = "batch"
-plugins = ["flow", "chaos"]
+plugins = ["flow", "fixtures"]
 {deny}
 [nodes.source]
 type = "frames"
@@ -181,7 +181,7 @@ fn a_source_goes_on_where_it_was_when_its_process_died() {
         let text = format!(
             r#"
 mode = "batch"
-plugins = ["{plugin}", "chaos", "flow"]
+plugins = ["{plugin}", "fixtures", "flow"]
 [nodes.scope]
 isolate = "sources"
 {source}
@@ -217,7 +217,7 @@ fn a_node_whose_process_died_before_its_first_tick_opens_again() {
     // `late` gets its first picture, of a size that its process does not know yet, long after `bad` has ended that process.
     let text = r#"
 mode = "batch"
-plugins = ["flow", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.soon]
 type = "frames"
 params = { width_px = 160, height_px = 120, format = "gray8" }

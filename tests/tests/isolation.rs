@@ -127,7 +127,7 @@ fn harmed(folder: &Path, harm: &str, kind: &str) -> String {
     format!(
         r#"
 mode = "batch"
-plugins = ["flow", "fixtures", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.source]
 type = "frames"
 params = {{ width_px = 64, height_px = 48, format = "gray8", pattern = "ramp" }}
@@ -248,7 +248,7 @@ fn passing(params: &str) -> String {
     format!(
         r#"
 mode = "live"
-plugins = ["flow", "fixtures", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.source]
 type = "frames"
 params = {{ width_px = 64, height_px = 48, format = "gray8", pattern = "ramp", rate_hz = 200.0 }}
@@ -314,8 +314,8 @@ fn a_rebuilt_plugin_is_swapped_in_its_process() {
     let (_, _, loader) = load(&folder.join("graph.toml"), &passing("")).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let plugins = folder.join("plugins");
     std::fs::create_dir_all(&plugins).expect("a folder");
-    let built = loader.found().find(|f| f.note.name == "chaos").expect("the plugin").file.clone();
-    let copied = plugins.join("chaos.so");
+    let built = loader.found().find(|f| f.note.name == "fixtures").expect("the plugin").file.clone();
+    let copied = plugins.join("fixtures.so");
     std::fs::copy(&built, &copied).expect("a copy");
     let text =
         passing("").replacen("plugins = ", &format!("plugin_paths = [\"{}\"]\nplugins = ", plugins.display()), 1);
@@ -326,7 +326,7 @@ fn a_rebuilt_plugin_is_swapped_in_its_process() {
     let sink = |live: &Live<Arc<Engine>>| live.engine().report().nodes["sink"].count;
     wait_until("frames flow", || sink(&live) > 5);
     let process = isolated_processes();
-    let new = plugins.join("chaos.new");
+    let new = plugins.join("fixtures.new");
     // Another byte behind the end: a file of the same bytes is the same plugin.
     let bytes = [std::fs::read(&built).expect("the plugin"), vec![0]].concat();
     std::fs::write(&new, bytes).expect("a copy");
@@ -346,10 +346,10 @@ fn a_rebuilt_plugin_is_swapped_in_its_process() {
 
 fn recorded(folder: &Path, file: &Path) -> Digests {
     let path = folder.join("graph.toml");
-    let isolate = "[isolate]\nstitch = \"stitching\"\nchaos = \"wild\"\n[nodes.bad]\ntype = \"chaos\"\ninputs = { image = \"wide.panorama\" }\nparams = { harm = \"segv\", first = 4, ticks = 1 }\n[nodes.end]\ntype = \"drain\"\ninputs = { image = \"bad.image\" }";
+    let isolate = "[isolate]\nstitch = \"stitching\"\nfixtures = \"wild\"\n[nodes.bad]\ntype = \"chaos\"\ninputs = { image = \"wide.panorama\" }\nparams = { harm = \"segv\", first = 4, ticks = 1 }\n[nodes.end]\ntype = \"drain\"\ninputs = { image = \"bad.image\" }";
     let text = panorama(folder, isolate)
         .replace("\"batch\"", "\"live\"")
-        .replace("\"sinks\"]", "\"sinks\", \"chaos\", \"flow\"]")
+        .replace("\"sinks\"]", "\"sinks\", \"fixtures\", \"flow\"]")
         .replace("seed = 7,", "seed = 7, rate_hz = 60.0,");
     let (graph, catalog, loader) = load(&path, &text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let text = GraphText::parse(&path, &text).flattened(&catalog).into_owned();

@@ -15,7 +15,7 @@ const PATIENCE: Duration = Duration::from_secs(90);
 /// Search path with the plugins of the graphs here.
 fn plugin_path() -> &'static OsStr {
     static PATH: OnceLock<OsString> = OnceLock::new();
-    PATH.get_or_init(|| common::built_plugins(&["flow", "fixtures", "chaos"]))
+    PATH.get_or_init(|| common::built_plugins(&["flow", "fixtures"]))
 }
 
 /// A folder of this test process.
@@ -36,7 +36,7 @@ fn graph_in(mode: &str, folder: &Path, bad: &str) -> PathBuf {
     let _ = std::fs::remove_file(&ledger);
     let text = format!(
         r#"mode = "{mode}"
-plugins = ["flow", "fixtures", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.source]
 type = "frames"
 params = {{ width_px = 64, height_px = 48, rate_hz = 200.0 }}
@@ -322,7 +322,7 @@ fn a_limit_of_file_size_is_an_error_of_the_node_that_writes() {
 fn a_second_signal_a_while_later_ends_at_once() {
     let folder = folder("twice");
     // The source does not return, and the first signal waits for it.
-    let text = "mode = \"batch\"\nplugins = [\"flow\", \"fixtures\", \"chaos\"]\n[nodes.camera]\ntype = \"chaos_source\"\n\
+    let text = "mode = \"batch\"\nplugins = [\"flow\", \"fixtures\"]\n[nodes.camera]\ntype = \"chaos_source\"\n\
                 params = { harm = \"hang\", first = 5, hang_ms = 600000.0 }\n[nodes.end]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n";
     let graph = folder.join("hang.toml");
     std::fs::write(&graph, text).expect("written");
@@ -342,7 +342,7 @@ fn a_second_signal_a_while_later_ends_at_once() {
 /// What is said when the node `bad` takes the program down at tick 20.
 fn assert_named(ended: &Ended, words: &str, folder: &Path) {
     assert!(ended.err.contains(words), "{}", ended.all());
-    assert!(ended.err.contains("chaos.so"), "the plugin's file: {}", ended.all());
+    assert!(ended.err.contains("fixtures.so"), "the plugin's file: {}", ended.all());
     assert!(ended.err.contains("files: finished are those of `file`"), "{}", ended.all());
     assert!(ended.err.lines().last().is_some_and(|l| l.starts_with("failed: ")), "{}", ended.all());
     // Some ticks are under way at once; without a rescue there is none, because the ledger keeps them in its buffer.

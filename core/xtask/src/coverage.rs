@@ -111,13 +111,16 @@ const PARSERS: &[(&str, &[Source])] = &[
     (
         "dicom_entry",
         &[
-            all("core/links/dicom/src/lengths.rs"),
-            functions("core/links/dicom/src/entry.rs", &["decode", "of", "check"]),
-            functions("core/links/dicom/src/part10.rs", &["parse"]),
+            all("core/links/export/src/dicom/lengths.rs"),
+            functions("core/links/export/src/dicom/entry.rs", &["decode", "of", "check"]),
+            functions("core/links/export/src/dicom/part10.rs", &["parse"]),
         ],
     ),
-    ("dicom_film", &[all("core/links/dicom/src/object/mp4.rs"), all("core/links/dicom/src/object/jpeg.rs")]),
-    ("dicom_lengths", &[functions("core/links/dicom/src/object/report.rs", &["read", "length"])]),
+    (
+        "dicom_film",
+        &[all("core/links/export/src/dicom/object/mp4.rs"), all("core/links/export/src/dicom/object/jpeg.rs")],
+    ),
+    ("dicom_lengths", &[functions("core/links/export/src/dicom/object/report.rs", &["read", "length"])]),
     (
         "calibration",
         &[

@@ -24,7 +24,7 @@ use crate::workspace::Workspace;
 const MIN_FREE_MIB: u64 = 2048;
 
 /// Packages with examples in their documentation.
-const WITH_EXAMPLES: &[&str] = &["panoscope-editor-texts", "panoscope-graph", "panoscope-testing"];
+const WITH_EXAMPLES: &[&str] = &["panoscope-editor-model", "panoscope-graph", "panoscope-testing"];
 
 /// Packages whose tests need only plugins, not the program.
 const BELOW_PROGRAM: &[&str] = &[

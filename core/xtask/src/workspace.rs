@@ -142,15 +142,15 @@ mod tests {
             {"name": "panoscope-stitch", "manifest_path": "/r/plugins/stitch/Cargo.toml"},
             {"name": "panoscope-capture", "manifest_path": "/r/plugins/capture/Cargo.toml"},
             {"name": "panoscope-cli", "manifest_path": "/r/core/cli/Cargo.toml"},
-            {"name": "panoscope-chaos", "manifest_path": "/r/tests/plugins/chaos/Cargo.toml"},
+            {"name": "panoscope-fixtures", "manifest_path": "/r/tests/plugins/fixtures/Cargo.toml"},
             {"name": "helper", "manifest_path": "/r/plugins/stitch/helper/Cargo.toml"}]}"#;
         let workspace = Workspace::from_metadata(text).unwrap();
         let names =
             |plugins: &[Plugin]| -> Vec<_> { plugins.iter().map(|p| (p.name.clone(), p.package.clone())).collect() };
         let named = |name: &str| (name.to_owned(), format!("panoscope-{name}"));
         assert_eq!(names(&workspace.plugins), [named("capture"), named("stitch")]);
-        assert_eq!(names(&workspace.test_plugins), [named("chaos")]);
-        assert_eq!(workspace.test_plugins[0].folder, Path::new("/r/tests/plugins/chaos"));
+        assert_eq!(names(&workspace.test_plugins), [named("fixtures")]);
+        assert_eq!(workspace.test_plugins[0].folder, Path::new("/r/tests/plugins/fixtures"));
         assert_eq!(workspace.target, Path::new("/t"));
     }
 
@@ -165,6 +165,6 @@ mod tests {
         let workspace = Workspace::locate().unwrap();
         assert!(workspace.root.join("core/xtask/Cargo.toml").is_file());
         assert!(workspace.plugins.iter().any(|plugin| plugin.name == "phantom"));
-        assert!(workspace.test_plugins.iter().any(|plugin| plugin.name == "chaos"));
+        assert!(workspace.test_plugins.iter().any(|plugin| plugin.name == "fixtures"));
     }
 }

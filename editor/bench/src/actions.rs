@@ -1,7 +1,7 @@
 //! All actions of the editor and their keys. Buttons and keys trigger the same actions.
 
 use eframe::egui::{InputState, Key, KeyboardShortcut, ModifierNames, Modifiers};
-use panoscope_editor_texts::{self as texts, text};
+use panoscope_editor_model::texts::{self, text};
 
 /// An action of the editor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

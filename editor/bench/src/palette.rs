@@ -8,8 +8,8 @@ use eframe::egui::{
     Align, Align2, Color32, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense,
     TextWrapMode, Ui, WidgetInfo, WidgetType, vec2,
 };
-use panoscope_editor_texts as texts;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::NodeType;
 use panoscope_host::loader::Loader;
 

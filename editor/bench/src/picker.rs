@@ -4,7 +4,7 @@ use eframe::egui::{
     Align2, Button, Color32, EventFilter, FontId, Id, Key, Modifiers, Pos2, Rect, RichText, Sense, Stroke, StrokeKind,
     Ui, UiBuilder, Vec2, WidgetInfo, WidgetType, vec2,
 };
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::Pick;
 
 use panoscope_editor_model::document::Document;

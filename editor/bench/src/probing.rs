@@ -7,7 +7,7 @@ use eframe::egui::{
 
 use panoscope_editor_model::picture::short;
 use panoscope_editor_model::probe::{Histogram, Probe, ProbeRequest, Profile};
-use panoscope_editor_texts::{decimal, text, with_decimal_sign};
+use panoscope_editor_model::texts::{decimal, text, with_decimal_sign};
 use panoscope_editor_widgets::crosshair::Crosshair;
 use panoscope_editor_widgets::theme;
 

@@ -9,7 +9,7 @@ use eframe::egui::{
 use panoscope_editor_model::content::{Content, moved, moved_back};
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_model::surface::{DepthBuffer, Viewpoint, distance_mm};
-use panoscope_editor_texts::{number, text};
+use panoscope_editor_model::texts::{number, text};
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::crosshair::Crosshair;
 use panoscope_editor_widgets::numbers::drag_value;

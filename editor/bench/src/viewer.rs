@@ -12,7 +12,7 @@ use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::probe::{Probe, ProbeRequest};
 use panoscope_editor_model::surface::Viewpoint;
-use panoscope_editor_texts::{decimal, text};
+use panoscope_editor_model::texts::{decimal, text};
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{OutputCache, image_of};
 

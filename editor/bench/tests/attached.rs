@@ -29,7 +29,7 @@ fn open(folder: &Folder, address: &str) -> Window {
         };
         app.get_or_insert_with(open).ui(ui);
     };
-    let textures = panoscope_editor_golden::Textures::default();
+    let textures = panoscope_editor_widgets::golden::Textures::default();
     let builder = Harness::builder().with_size(vec2(1440.0, 900.0)).renderer(textures.clone());
     Window { harness: builder.build_ui_state(draw, None), textures }
 }

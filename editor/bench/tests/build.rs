@@ -8,7 +8,7 @@ use eframe::egui::{Key, Modifiers, Pos2, Rect, vec2};
 use egui_kittest::kittest::{NodeT, Queryable};
 use panoscope_editor::app::Options;
 use panoscope_editor_model::session::Phase;
-use panoscope_editor_texts::{Language, set_language};
+use panoscope_editor_model::texts::{Language, set_language};
 
 const NONE: Modifiers = Modifiers::NONE;
 const SHIFT: Modifiers = Modifiers::SHIFT;

@@ -3,7 +3,7 @@
 use crate::common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::{Key, Modifiers, vec2};
 use egui_kittest::kittest::Queryable;
-use panoscope_editor_texts::{Language, set_language};
+use panoscope_editor_model::texts::{Language, set_language};
 use panoscope_graph::ParamValue;
 
 const NONE: Modifiers = Modifiers::NONE;

@@ -7,8 +7,8 @@ use crate::common::{Folder, Window, has_plugin, input};
 use eframe::egui::{Key, Modifiers, Pos2, Rect, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
-use panoscope_editor_golden::{compare, paint};
 use panoscope_editor_model::session::Phase;
+use panoscope_editor_widgets::golden::{compare, paint};
 use panoscope_editor_widgets::theme::ground;
 
 const NONE: Modifiers = Modifiers::NONE;

@@ -127,6 +127,77 @@ impl Folding<'_> {
             ..NodeType::default()
         }
     }
+
+    /// The node that stands for a folded part.
+    fn as_node(&self, part: &PartOutline, parsed: &GraphText) -> NodeView {
+        let file = part.path.as_ref().and_then(|path| parsed.files().into_iter().skip(1).find(|f| f.key() == *path));
+        let doc = file.map(|file| opening(file.text)).unwrap_or_default();
+        let inside = |n: &&NodeView| n.id().strip_prefix(&part.id).is_some_and(|rest| rest.starts_with('/'));
+        NodeView {
+            outline: NodeOutline {
+                id: part.id.clone(),
+                type_name: part.file.clone(),
+                inputs: part.given.clone(),
+                params: part.given_params.clone(),
+                line: part.line,
+            },
+            node_type: Some(Arc::new(self.node_type(part, &doc))),
+            position: position(parsed.editor(), &part.id),
+            mistakes: self.flat.nodes.iter().filter(inside).flat_map(|n| n.mistakes.clone()).collect(),
+            is_part: true,
+        }
+    }
+
+    /// The drawn nodes.
+    fn nodes(&self, parsed: &GraphText) -> Vec<NodeView> {
+        let mut nodes: Vec<NodeView> = Vec::new();
+        for node in &self.flat.nodes {
+            let shown = shown_as(node.id(), self.open);
+            if shown == node.id() {
+                nodes.push(node.clone());
+            } else if !nodes.iter().any(|n| n.id() == shown)
+                && let Some(part) = self.part(shown)
+            {
+                nodes.push(self.as_node(part, parsed));
+            }
+        }
+        // Parts without nodes, and those whose file cannot be used.
+        for part in self.parts.iter().filter(|p| is_visible(&p.id, self.open) && !self.open.contains(&p.id)) {
+            if !nodes.iter().any(|n| n.id() == part.id) {
+                nodes.push(self.as_node(part, parsed));
+            }
+        }
+        nodes
+    }
+
+    /// The wires between drawn nodes.
+    fn wires(&self, nodes: &[NodeView]) -> Vec<Wire> {
+        let index: HashMap<&str, usize> = nodes.iter().enumerate().map(|(n, node)| (node.id(), n)).collect();
+        let mut wires = Vec::new();
+        for (to, node) in nodes.iter().enumerate() {
+            let mut add = |input: &str, sources: Vec<(String, String, bool)>| {
+                for (k, (source, port, delayed)) in sources.into_iter().enumerate() {
+                    let (source, output) = self.source(&source, &port);
+                    if let Some(&from) = index.get(source.as_str()) {
+                        wires.push(Wire { from, output, to, input: input.to_owned(), index: k, delayed });
+                    }
+                }
+            };
+            if node.is_part {
+                let part = self.part(node.id());
+                part.into_iter().flat_map(|p| &p.inputs).for_each(|p| add(&p.name, self.supply(node.id(), &p.name)));
+                continue;
+            }
+            for input in &node.outline.inputs {
+                let written = |r: &panoscope_graph::Reference| {
+                    let (node, port) = r.written.clone().unwrap_or_else(|| (r.node.clone(), r.port.clone()));
+                    (node, port, r.delay > 0)
+                };
+                add(&input.port, input.from.iter().map(written).collect());
+            }
+        }
+        wires
+    }
 }
 
 fn with_default(kind: &ParamKind, value: &toml::Value) -> ParamKind {
@@ -162,66 +233,8 @@ pub(crate) fn drawn(flat: GraphView, parsed: &GraphText) -> GraphView {
         opened(editor).into_iter().filter(|id| parts.iter().any(|p| p.id == *id && p.path.is_some())).collect();
     let flat = Arc::new(flat);
     let folding = Folding { flat: &flat, parts: &parts, open: &open };
-    let docs: HashMap<std::path::PathBuf, String> =
-        parsed.files().iter().skip(1).map(|f| (f.key(), opening(f.text))).collect();
-    let as_node = |part: &PartOutline| {
-        let doc = part.path.as_ref().and_then(|path| docs.get(path)).cloned().unwrap_or_default();
-        let inside = |n: &&NodeView| n.id().strip_prefix(&part.id).is_some_and(|rest| rest.starts_with('/'));
-        NodeView {
-            outline: NodeOutline {
-                id: part.id.clone(),
-                type_name: part.file.clone(),
-                inputs: part.given.clone(),
-                params: part.given_params.clone(),
-                line: part.line,
-            },
-            node_type: Some(Arc::new(folding.node_type(part, &doc))),
-            position: position(editor, &part.id),
-            mistakes: flat.nodes.iter().filter(inside).flat_map(|n| n.mistakes.clone()).collect(),
-            is_part: true,
-        }
-    };
-    let mut nodes: Vec<NodeView> = Vec::new();
-    for node in &flat.nodes {
-        let shown = shown_as(node.id(), &open);
-        if shown == node.id() {
-            nodes.push(node.clone());
-        } else if !nodes.iter().any(|n| n.id() == shown)
-            && let Some(part) = folding.part(shown)
-        {
-            nodes.push(as_node(part));
-        }
-    }
-    // Parts without nodes, and those whose file cannot be used.
-    for part in parts.iter().filter(|p| is_visible(&p.id, &open) && !open.contains(&p.id)) {
-        if !nodes.iter().any(|n| n.id() == part.id) {
-            nodes.push(as_node(part));
-        }
-    }
-    let index: HashMap<&str, usize> = nodes.iter().enumerate().map(|(n, node)| (node.id(), n)).collect();
-    let mut wires = Vec::new();
-    for (to, node) in nodes.iter().enumerate() {
-        let mut add = |input: &str, sources: Vec<(String, String, bool)>| {
-            for (k, (source, port, delayed)) in sources.into_iter().enumerate() {
-                let (source, output) = folding.source(&source, &port);
-                if let Some(&from) = index.get(source.as_str()) {
-                    wires.push(Wire { from, output, to, input: input.to_owned(), index: k, delayed });
-                }
-            }
-        };
-        if node.is_part {
-            let part = folding.part(node.id());
-            part.into_iter().flat_map(|p| &p.inputs).for_each(|p| add(&p.name, folding.supply(node.id(), &p.name)));
-            continue;
-        }
-        for input in &node.outline.inputs {
-            let written = |r: &panoscope_graph::Reference| {
-                let (node, port) = r.written.clone().unwrap_or_else(|| (r.node.clone(), r.port.clone()));
-                (node, port, r.delay > 0)
-            };
-            add(&input.port, input.from.iter().map(written).collect());
-        }
-    }
+    let nodes = folding.nodes(parsed);
+    let wires = folding.wires(&nodes);
     let mut targets = BTreeMap::new();
     for part in &parts {
         for (ports, of, input) in [

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use panoscope_editor_texts::text;
+use crate::texts::text;
 use panoscope_engine::fault::Action;
 
 use crate::graph_view::GraphView;

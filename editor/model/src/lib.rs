@@ -34,6 +34,7 @@ pub mod session;
 pub mod snapshots;
 pub mod surface;
 pub mod sweeping;
+pub mod texts;
 pub mod timeline;
 pub mod trace;
 

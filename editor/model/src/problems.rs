@@ -1,6 +1,6 @@
 //! Everything that is wrong with a graph and its run, each with its place, its cause and what to do: for a tour from one to the next.
 
-use panoscope_editor_texts::{decimal, text};
+use crate::texts::{decimal, text};
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_graph::Severity;
 

@@ -2,7 +2,7 @@
 
 use eframe::egui::{Event, InputState, Key, Modifiers};
 
-use panoscope_editor_texts::{language, set_language, text};
+use panoscope_editor_model::texts::{language, set_language, text};
 
 use super::measure::Measure;
 use super::pedal::PedalKey;

@@ -3,7 +3,7 @@
 //! Ideas of IEC 60601-1-8 that are followed: three priorities that differ by colour, sign and size, the most urgent first, each with its cause in
 //! plain words, shown until the cause is gone. No sound is made, and no compliance is claimed.
 
-use panoscope_editor_texts as texts;
+use panoscope_editor_model::texts;
 
 /// Urgency of a notice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -93,7 +93,7 @@ impl Alarm {
 
 #[cfg(test)]
 mod tests {
-    use panoscope_editor_texts::{Language, Value};
+    use panoscope_editor_model::texts::{Language, Value};
 
     use super::*;
 

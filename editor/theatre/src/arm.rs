@@ -4,7 +4,7 @@ use eframe::egui::{
     Color32, Context, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2,
     vec2,
 };
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use eframe::egui::Context;
-use panoscope_editor_texts::{decimal, text, with_decimal_sign};
+use panoscope_editor_model::texts::{decimal, text, with_decimal_sign};
 use panoscope_host::attach::message::Opened as Running;
 use panoscope_host::attach::{Attachment, Clock, Contact, State};
 

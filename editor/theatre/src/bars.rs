@@ -14,7 +14,7 @@ use super::arm::STOP_RED;
 use super::notices::{Facts, OLD_MS};
 use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings, time};
 use panoscope_editor_model::session::{Phase, Status};
-use panoscope_editor_texts::{bytes, text};
+use panoscope_editor_model::texts::{bytes, text};
 use panoscope_editor_widgets::theme;
 
 /// Width of a setting.

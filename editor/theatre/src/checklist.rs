@@ -3,7 +3,7 @@
 use eframe::egui::text::{LayoutJob, TextWrapping};
 use eframe::egui::{Align2, FontId, Rect, Sense, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2, vec2};
 use panoscope_editor_model::observe::Counters;
-use panoscope_editor_texts::{bytes, decimal, text};
+use panoscope_editor_model::texts::{bytes, decimal, text};
 use panoscope_editor_widgets::theme;
 
 use super::Theatre;
@@ -228,7 +228,7 @@ impl Theatre {
 #[cfg(test)]
 mod tests {
     use panoscope_editor_model::observe::Output;
-    use panoscope_editor_texts::phrase;
+    use panoscope_editor_model::texts::phrase;
     use panoscope_engine::NodeWindow;
 
     use super::*;

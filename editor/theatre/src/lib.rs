@@ -49,7 +49,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{GraphOptions, ParamValue};
 use panoscope_imaging::composition::Composition;

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use eframe::egui::{Context, InputState};
-use panoscope_editor_texts::{decimal, text};
+use panoscope_editor_model::texts::{decimal, text};
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw;
 use panoscope_imaging::stereo::SurfacePoint;

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use panoscope_editor_model::disk::is_full;
-use panoscope_editor_texts::{bytes, decimal, text};
+use panoscope_editor_model::texts::{bytes, decimal, text};
 use panoscope_engine::fault::{Action, Cause, Fault};
 
 use panoscope_editor_model::observe::Counters;

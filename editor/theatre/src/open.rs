@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use panoscope_editor_texts::{Phrase, phrase, text};
+use panoscope_editor_model::texts::{Phrase, phrase, text};
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, check};
 use panoscope_host::audit::LockFacts;
 use panoscope_host::loader::keys::Trust;

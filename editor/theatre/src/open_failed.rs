@@ -5,7 +5,7 @@ use std::path::Path;
 use eframe::egui::{self, Align, Button, Context, Frame, Key, Layout, Margin, RichText, ScrollArea, Ui, vec2};
 
 use super::{EDGE, OpenError, Refusal};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::Shot;
 use panoscope_editor_widgets::theme;
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use eframe::egui::{self, Context, Frame, Key, Margin, Modifiers, Panel, RichText, Ui, vec2};
 use panoscope_editor_model::arguments::{self, Form};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::arguments_form::{self, FormRequest, FormStyle};
 use panoscope_editor_widgets::theme;
 use panoscope_graph::{GraphOptions, GraphText};

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use panoscope_editor_model::session::Phase;
-use panoscope_editor_texts::{Phrase, text};
+use panoscope_editor_model::texts::{Phrase, text};
 use panoscope_graph::edit::GraphEdit;
 use panoscope_host::audit::{ClipState, Event};
 
@@ -154,7 +154,7 @@ impl Theatre {
 
 #[cfg(test)]
 mod tests {
-    use panoscope_editor_texts::phrase;
+    use panoscope_editor_model::texts::phrase;
 
     use super::*;
 

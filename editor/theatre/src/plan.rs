@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use panoscope_editor_texts::{Phrase, text};
+use panoscope_editor_model::texts::{Phrase, text};
 use panoscope_graph::Param;
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_imaging::stereo::length::Noise;

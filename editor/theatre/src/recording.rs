@@ -6,7 +6,7 @@ use super::{Pane, Theatre, time};
 use panoscope_editor_model::disk::is_full;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Status;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_host::audit::{ClipState, Event};
 
 impl Theatre {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use panoscope_editor_model::session::first_mistake;
-use panoscope_editor_texts::{Phrase, phrase};
+use panoscope_editor_model::texts::{Phrase, phrase};
 use serde::{Deserialize, Serialize};
 
 use super::OpenError;

@@ -8,7 +8,7 @@ use std::time::Duration;
 use panoscope_editor_model::observe::{Counters, Observer, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::session::{Session, Status, Wake};
-use panoscope_editor_texts::Phrase;
+use panoscope_editor_model::texts::Phrase;
 use panoscope_graph::ParamValue;
 use panoscope_host::loader::Loader;
 use panoscope_host::loader::verify::Seal;

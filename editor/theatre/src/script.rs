@@ -1,7 +1,7 @@
 //! Performs the steps of a `--do` script.
 
 use eframe::egui::Context;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 
 use super::{Action, Theatre, actions};
 

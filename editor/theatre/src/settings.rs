@@ -5,7 +5,7 @@ use eframe::egui::{
     Align2, Color32, CornerRadius, FontId, Key, Modifiers, Rect, Response, Sense, Stroke, StrokeKind, Ui, WidgetInfo,
     WidgetType, pos2, vec2,
 };
-use panoscope_editor_texts::{text, with_decimal_sign};
+use panoscope_editor_model::texts::{text, with_decimal_sign};
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{ParamKind, ParamValue};
 

@@ -11,7 +11,7 @@ use super::marks::{fitting, focus_frame};
 use super::notices::{Facts, NoPicture, OLD_MS, STOPPED_MS};
 use super::{Layout, Pane, Theatre};
 use panoscope_editor_model::surface::Viewpoint;
-use panoscope_editor_texts::{decimal, number, text};
+use panoscope_editor_model::texts::{decimal, number, text};
 use panoscope_editor_widgets::surface;
 use panoscope_editor_widgets::theme;
 

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use panoscope_editor_model::numbered::{self, FolderError};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::edit::{EditError, GraphEdit};
 
 use panoscope_editor_model::disk;

@@ -1,6 +1,6 @@
 //! Reads a checked graph for its plan: which outputs are cameras, views, a stereo pair or a surface.
 
-use panoscope_editor_texts::phrase;
+use panoscope_editor_model::texts::phrase;
 use panoscope_graph::{Catalog, Edge, Graph, Node, NodeType, Param, ParamKind, ParamValue, PresetView, listening};
 use panoscope_imaging::stereo::length::Noise;
 

@@ -20,7 +20,7 @@ use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::session::Session;
-use panoscope_editor_texts::phrase;
+use panoscope_editor_model::texts::phrase;
 use panoscope_engine::clock;
 use panoscope_engine::ending::signals;
 use panoscope_engine::sync::lock;

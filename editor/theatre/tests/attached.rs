@@ -32,7 +32,7 @@ fn attached(folder: Folder, address: &str, allows: &[&str]) -> Option<(Attachabl
         };
         theatre.get_or_insert_with(open).ui(ui);
     };
-    let textures = panoscope_editor_golden::Textures::default();
+    let textures = panoscope_editor_widgets::golden::Textures::default();
     let builder = Harness::builder().with_size(vec2(1440.0, 960.0)).renderer(textures.clone());
     let mut window = Window { harness: builder.build_ui_state(draw, None), folder, textures, guard: None };
     window.until("a picture", Theatre::has_picture);

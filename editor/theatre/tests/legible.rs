@@ -10,9 +10,9 @@ use eframe::egui::epaint::{ClippedShape, TextShape};
 use eframe::egui::{Context, Key, Rect, Shape, Ui, pos2, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
-use panoscope_editor_golden::{compare, paint};
-use panoscope_editor_texts::{Language, set_language, text};
+use panoscope_editor_model::texts::{Language, set_language, text};
 use panoscope_editor_widgets::Shot;
+use panoscope_editor_widgets::golden::{compare, paint};
 use panoscope_editor_widgets::theme::BLACK;
 use panoscope_theatre::{Layout, OpenError, OpenFailed, Options, Theatre};
 

@@ -7,7 +7,7 @@ use crate::common::{Folder, has_plugin};
 use crate::looks_graph::{GRAPH, TICKS};
 use eframe::egui::{Rect, pos2};
 use egui_kittest::kittest::Queryable;
-use panoscope_editor_golden::{compare, paint};
+use panoscope_editor_widgets::golden::{compare, paint};
 use panoscope_editor_widgets::theme::BLACK;
 use panoscope_theatre as theatre;
 

@@ -8,7 +8,7 @@ use crate::common::window::{Window, options};
 use crate::common::{Folder, has_plugin, input};
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
-use panoscope_editor_texts::{Language, set_language};
+use panoscope_editor_model::texts::{Language, set_language};
 use panoscope_graph::{GraphText, check};
 use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock};
 use panoscope_host::loader::{self as loader, Loader};

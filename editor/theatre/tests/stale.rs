@@ -17,7 +17,7 @@ const DIMMED_AFTER: Duration = Duration::from_millis(1200);
 const WATCHED: Duration = Duration::from_secs(3);
 
 /// Two cameras; one of them falls silent on request. Two stages depend on it.
-const TWO: &str = r#"plugins = ["flow", "chaos"]
+const TWO: &str = r#"plugins = ["flow", "fixtures"]
 [nodes.second]
 type = "chaos_source"
 params = { harm = "nothing", first = 1000000000, ticks = 1000000000 }
@@ -80,7 +80,7 @@ fn set(window: &Window, node: &str, param: &str, value: ParamValue) {
 
 #[test]
 fn views_of_a_lost_camera_are_dimmed_or_withdrawn_and_the_living_one_is_shown() {
-    if !has_plugin("flow") || !has_plugin("chaos") {
+    if !has_plugin("flow") {
         return;
     }
     let mut window = Window::open("stale_lost", TWO);

@@ -515,10 +515,10 @@ fn settings_leave_room_for_the_buttons_in_a_narrow_window() {
 
 #[test]
 fn a_lost_camera_is_named_and_the_other_one_goes_on() {
-    if !has_plugin("flow") || !has_plugin("chaos") {
+    if !has_plugin("flow") {
         return;
     }
-    let text = "plugins = [\"flow\", \"chaos\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 30.0 }\n[nodes.second]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 600, ticks = 1000000000 }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n[nodes.other]\ntype = \"drain\"\ninputs = { image = \"second.image\" }\n[preset]\nviews = [\"camera.image\", \"second.image\"]\n";
+    let text = "plugins = [\"flow\", \"fixtures\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 30.0 }\n[nodes.second]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 600, ticks = 1000000000 }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n[nodes.other]\ntype = \"drain\"\ninputs = { image = \"second.image\" }\n[preset]\nviews = [\"camera.image\", \"second.image\"]\n";
     let mut window = Window::open("lost", text);
     window.until("one of the two is lost", |t| {
         let says = |words: &str| t.notices().iter().any(|notice| notice.message.contains(words));

@@ -2,7 +2,7 @@
 
 use eframe::egui::{Align, ComboBox, Label, Layout, Response, RichText, ScrollArea, TextEdit, Ui};
 use panoscope_editor_model::arguments::Form;
-use panoscope_editor_texts::{text, with_decimal_sign};
+use panoscope_editor_model::texts::{text, with_decimal_sign};
 use panoscope_graph::{Arg, ArgKind};
 
 use crate::numbers::drag_value;
@@ -95,35 +95,7 @@ const FIELD_BUTTON: f32 = 84.0;
 fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Option<FormRequest> {
     let mut request = None;
     let small = theme::legible(ui.ctx(), SMALL * style.size);
-    let given = form.values.get(&arg.name).filter(|v| !v.is_empty()).cloned();
-    ui.horizontal(|ui| {
-        ui.label(RichText::new(arg.name.replace('_', " ")).size(style.size).strong());
-        let is_required = form.required.contains(&arg.name);
-        let (state, color) = match (&given, &arg.default) {
-            (Some(_), Some(default)) => (text!("form-default-is", value = default), theme::muted()),
-            (None, Some(_)) => (text!("form-default").to_owned(), theme::muted()),
-            (Some(_), None) => (String::new(), theme::muted()),
-            (None, None) if is_required => (text!("form-required").to_owned(), theme::warn()),
-            (None, None) => (text!("form-not-used").to_owned(), theme::muted()),
-        };
-        ui.label(RichText::new(state).size(small).color(color));
-        let range = arg.range.map(|(low, high)| {
-            let [low, high] = [low, high].map(|limit| with_decimal_sign(&limit.to_string()));
-            text!("form-range", low = low, high = high)
-        });
-        let limits = [range.as_deref(), Some(arg.unit.as_str())];
-        let limits: Vec<&str> = limits.into_iter().flatten().filter(|t| !t.is_empty()).collect();
-        ui.label(RichText::new(limits.join(" ")).size(small).color(theme::muted()));
-        if given.is_some() {
-            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                let clear = ui.small_button(text!("form-clear")).on_hover_text(text!("form-clear.hint"));
-                name(&clear, &text!("form-clear.name", argument = &arg.name));
-                if clear.clicked() {
-                    form.values.remove(&arg.name);
-                }
-            });
-        }
-    });
+    heading(ui, form, arg, style);
     if !arg.doc.is_empty() {
         ui.add(Label::new(RichText::new(&arg.doc).size(small).color(theme::muted())).wrap());
     }
@@ -148,37 +120,9 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
         }
         ArgKind::Number | ArgKind::Whole => number(ui, arg, &now),
         ArgKind::Source | ArgKind::File | ArgKind::Path | ArgKind::Text => {
-            let mut typed = form.values.get(&arg.name).cloned().unwrap_or_default();
-            let before = typed.clone();
-            ui.horizontal(|ui| {
-                let devices = form.devices.clone();
-                let pick_camera = arg.kind == ArgKind::Source && !devices.is_empty();
-                let pick_file = style.browse && arg.kind != ArgKind::Text;
-                let room = FIELD_BUTTON * f32::from(u8::from(pick_camera) + u8::from(pick_file));
-                let hint = arg.default.clone().unwrap_or_default();
-                let field =
-                    TextEdit::singleline(&mut typed).hint_text(hint).desired_width(ui.available_width() - room - 16.0);
-                let field = ui.add(field.font(eframe::egui::FontId::proportional(style.size)));
-                name(&field, &text!("form-argument", argument = &arg.name));
-                if pick_camera {
-                    let menu = ui.menu_button(text!("form-cameras"), |ui| {
-                        for (device, model) in &devices {
-                            if ui.button(format!("{device}  {model}")).clicked() {
-                                typed.clone_from(device);
-                            }
-                        }
-                    });
-                    name(&menu.response, &text!("form-cameras.name", argument = &arg.name));
-                }
-                if pick_file {
-                    let browse = ui.button(text!("form-browse"));
-                    name(&browse, &text!("form-browse.name", argument = &arg.name));
-                    if browse.clicked() {
-                        request = Some(FormRequest::Browse(arg.name.clone()));
-                    }
-                }
-            });
-            (typed != before).then_some(typed)
+            let (typed, asked) = text_field(ui, form, arg, style);
+            request = asked;
+            typed
         }
     };
     if let Some(new) = new {
@@ -186,6 +130,75 @@ fn field(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) -> Optio
         form.problems.clear();
     }
     request
+}
+
+/// Shows the name of an argument, its state, range and unit, and a button that clears it.
+fn heading(ui: &mut Ui, form: &mut Form, arg: &Arg, style: FormStyle<'_>) {
+    let small = theme::legible(ui.ctx(), SMALL * style.size);
+    let is_given = form.values.get(&arg.name).is_some_and(|v| !v.is_empty());
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(arg.name.replace('_', " ")).size(style.size).strong());
+        let is_required = form.required.contains(&arg.name);
+        let (state, color) = match (is_given, &arg.default) {
+            (true, Some(default)) => (text!("form-default-is", value = default), theme::muted()),
+            (false, Some(_)) => (text!("form-default").to_owned(), theme::muted()),
+            (true, None) => (String::new(), theme::muted()),
+            (false, None) if is_required => (text!("form-required").to_owned(), theme::warn()),
+            (false, None) => (text!("form-not-used").to_owned(), theme::muted()),
+        };
+        ui.label(RichText::new(state).size(small).color(color));
+        let range = arg.range.map(|(low, high)| {
+            let [low, high] = [low, high].map(|limit| with_decimal_sign(&limit.to_string()));
+            text!("form-range", low = low, high = high)
+        });
+        let limits = [range.as_deref(), Some(arg.unit.as_str())];
+        let limits: Vec<&str> = limits.into_iter().flatten().filter(|t| !t.is_empty()).collect();
+        ui.label(RichText::new(limits.join(" ")).size(small).color(theme::muted()));
+        if is_given {
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                let clear = ui.small_button(text!("form-clear")).on_hover_text(text!("form-clear.hint"));
+                name(&clear, &text!("form-clear.name", argument = &arg.name));
+                if clear.clicked() {
+                    form.values.remove(&arg.name);
+                }
+            });
+        }
+    });
+}
+
+/// Shows a field for text, with buttons for cameras and files where the argument takes them. Returns a new text.
+fn text_field(ui: &mut Ui, form: &Form, arg: &Arg, style: FormStyle<'_>) -> (Option<String>, Option<FormRequest>) {
+    let mut request = None;
+    let mut typed = form.values.get(&arg.name).cloned().unwrap_or_default();
+    let before = typed.clone();
+    ui.horizontal(|ui| {
+        let devices = &form.devices;
+        let pick_camera = arg.kind == ArgKind::Source && !devices.is_empty();
+        let pick_file = style.browse && arg.kind != ArgKind::Text;
+        let room = FIELD_BUTTON * f32::from(u8::from(pick_camera) + u8::from(pick_file));
+        let hint = arg.default.clone().unwrap_or_default();
+        let field = TextEdit::singleline(&mut typed).hint_text(hint).desired_width(ui.available_width() - room - 16.0);
+        let field = ui.add(field.font(eframe::egui::FontId::proportional(style.size)));
+        name(&field, &text!("form-argument", argument = &arg.name));
+        if pick_camera {
+            let menu = ui.menu_button(text!("form-cameras"), |ui| {
+                for (device, model) in devices {
+                    if ui.button(format!("{device}  {model}")).clicked() {
+                        typed.clone_from(device);
+                    }
+                }
+            });
+            name(&menu.response, &text!("form-cameras.name", argument = &arg.name));
+        }
+        if pick_file {
+            let browse = ui.button(text!("form-browse"));
+            name(&browse, &text!("form-browse.name", argument = &arg.name));
+            if browse.clicked() {
+                request = Some(FormRequest::Browse(arg.name.clone()));
+            }
+        }
+    });
+    ((typed != before).then_some(typed), request)
 }
 
 /// Shows a number within its range.

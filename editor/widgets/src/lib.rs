@@ -3,6 +3,8 @@
 pub mod arguments_form;
 pub mod crosshair;
 mod film;
+#[cfg(feature = "golden")]
+pub mod golden;
 mod keys;
 pub mod numbers;
 mod output_cache;

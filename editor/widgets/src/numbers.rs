@@ -3,7 +3,7 @@
 use eframe::egui::DragValue;
 use eframe::egui::emath::{self, Numeric};
 use eframe::egui::style::NumberFormatter;
-use panoscope_editor_texts::with_decimal_sign;
+use panoscope_editor_model::texts::with_decimal_sign;
 
 /// A field for a number that is dragged or typed. A decimal comma is a decimal point.
 pub fn drag_value<T: Numeric>(value: &mut T) -> DragValue<'_> {
@@ -24,7 +24,7 @@ pub(crate) fn formatter() -> NumberFormatter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_editor_texts::{Language, set_language};
+    use panoscope_editor_model::texts::{Language, set_language};
 
     #[test]
     fn what_is_shown_can_be_typed() {

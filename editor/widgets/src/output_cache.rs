@@ -8,7 +8,7 @@ use eframe::egui::{Color32, ColorImage, Context, TextureHandle, TextureId, Textu
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
-use panoscope_editor_texts::number;
+use panoscope_editor_model::texts::number;
 
 /// A time in ms, formatted with its unit and three significant digits, in the language of the window.
 pub fn format_time(ms: f64) -> String {

@@ -1,7 +1,7 @@
 //! The language of a window: chosen, or that of the system.
 
 use clap::builder::PossibleValuesParser;
-use panoscope_editor_texts::{Language, set_language};
+use panoscope_editor_model::texts::{Language, set_language};
 
 /// The choice that stands for the system's language.
 const SYSTEM: &str = "system";

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use panoscope_sim_engine::fault::Cause;
-use panoscope_sim_world::disk::Habits;
-use panoscope_sim_world::{Dice, Settings};
+use crate::engine::fault::Cause;
+use crate::world::disk::Habits;
+use crate::world::{Dice, Settings};
 
 use crate::graphs::{Kind, Maker, Model, Node, Trouble};
 use crate::harm::Harm;

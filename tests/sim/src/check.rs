@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use panoscope_sim_engine::Outcome;
-use panoscope_sim_engine::fault::Cause;
+use crate::engine::Outcome;
+use crate::engine::fault::Cause;
 
 use crate::content::{Content, name_hash};
 use crate::drive::{Done, Ran, Version};

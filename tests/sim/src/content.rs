@@ -1,8 +1,8 @@
 //! Frames that describe themselves: source, tick, and the nodes that made them. All other pixels are derived from that, so that a reader detects
 //! every byte of another tick, of an old frame or of unwritten memory.
 
+use crate::world::point;
 use panoscope_base::random::SplitMix64;
-use panoscope_sim_world::point;
 
 /// A node that a frame passed through, with the values that the node had.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -90,7 +90,7 @@ impl Content {
         }
         let number = |at: usize| copy.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
         if copy.get(..4) != Some(&MAGIC) {
-            let poisoned = copy.iter().take(4).all(|byte| *byte == panoscope_sim_engine::POISON);
+            let poisoned = copy.iter().take(4).all(|byte| *byte == crate::engine::POISON);
             let what = if poisoned { "memory that nobody wrote" } else { "no picture" };
             return Err(format!("{what}: it begins with {:02x?}", &copy[..copy.len().min(8)]));
         }
@@ -118,38 +118,5 @@ impl Content {
         let mut next = self.clone();
         next.steps.push(Step { node, values });
         next
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_byte_counts() {
-        let content = Content { seq: 7, steps: vec![Step { node: 1, values: 2 }, Step { node: 3, values: 4 }] };
-        let mut bytes = vec![0; MIN_BYTES + 100];
-        content.write(&mut bytes);
-        assert_eq!(Content::read(&bytes), Ok(content.clone()));
-        for at in 0..bytes.len() {
-            bytes[at] ^= 0x10;
-            assert!(Content::read(&bytes).is_err(), "byte {at}");
-            bytes[at] ^= 0x10;
-        }
-        let mut other = vec![0; bytes.len()];
-        Content { seq: 8, ..content.clone() }.write(&mut other);
-        let half = bytes.len() / 2;
-        bytes[half..].copy_from_slice(&other[half..]);
-        assert!(Content::read(&bytes).is_err(), "half of another tick");
-        assert!(Content::read(&[panoscope_sim_engine::POISON; 300]).unwrap_err().contains("nobody wrote"));
-    }
-
-    #[test]
-    fn parts_make_the_whole() {
-        let content = Content { seq: 1 << 40, steps: vec![Step { node: 1, values: 2 }] };
-        let whole = content.part(1000, 0, 1000);
-        let parts: Vec<u8> = (0..10).flat_map(|n| content.part(1000, n * 100, (n + 1) * 100)).collect();
-        assert_eq!(parts, whole);
-        assert_eq!(Content::read(&whole), Ok(content));
     }
 }

@@ -4,16 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use crate::engine::fault::{Action, Fault};
+use crate::engine::log::Level;
+use crate::engine::memory::{FrameRef, memory, room_for};
+use crate::engine::observe::{Event, Observer, ReportFn};
+use crate::engine::{Applied, ApplyError, Engine, Options, Outcome, Report};
+use crate::world::disk::Disk;
+use crate::world::time::Instant;
+use crate::world::{self, Dice, note, thread};
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::ParamValue;
-use panoscope_sim_engine::fault::{Action, Fault};
-use panoscope_sim_engine::log::Level;
-use panoscope_sim_engine::memory::{FrameRef, memory, room_for};
-use panoscope_sim_engine::observe::{Event, Observer, ReportFn};
-use panoscope_sim_engine::{Applied, ApplyError, Engine, Options, Outcome, Report};
-use panoscope_sim_world::disk::Disk;
-use panoscope_sim_world::time::Instant;
-use panoscope_sim_world::{self as world, Dice, note, thread};
 
 use crate::case::{Case, rule_of};
 use crate::graphs::{Edit, Maker, Model, Node};
@@ -434,7 +434,7 @@ pub fn play(case: Case, keep_trace: bool) -> Done {
     let settings = world::Settings { keep_trace, ..case.world.clone() };
     simulated();
     let before = memory().in_use_bytes();
-    panoscope_sim_engine::forget();
+    crate::engine::forget();
     let mine = case.clone();
     let ended = world::run(settings, move || run(mine));
     Done { case, ended, seen: observe::seen(), disk: observe::disk(), kept_bytes: memory().in_use_bytes() - before }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use panoscope_sim_world::Dice;
+use crate::world::Dice;
 
 use crate::content::{Step, name_hash};
 use crate::harm::Harm;
@@ -531,31 +531,5 @@ impl Maker {
     /// A generator for changes: its names and values begin after those of the graph.
     pub fn with_names(dice: Dice, after: u32) -> Self {
         Self { names: after, ..Self::new(dice) }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_of_harms_are_those_of_graph_files() {
-        assert_eq!(harm_name(Harm::HangInNestedLoop), "hang_in_nested_loop");
-        assert_eq!(harm_name(Harm::Nan), "nan");
-    }
-
-    #[test]
-    fn a_graph_knows_its_ways() {
-        let nodes = vec![
-            Node::new("a", Kind::Camera, &[]),
-            Node::new("b", Kind::Pass, &["a"]),
-            Node::new("c", Kind::Mark, &["b"]),
-            Node::new("d", Kind::Pair, &["c", "a"]),
-            Node::new("e", Kind::Write, &["d"]),
-        ];
-        let model = Model { batch: false, nodes };
-        assert_eq!(model.steps_out_of("d"), ["a", "c", "d"].map(name_hash));
-        assert_eq!(model.source_of("e"), Some("a"));
-        assert!(model.is_healthy("e") && model.upstream("e").len() == 5);
     }
 }

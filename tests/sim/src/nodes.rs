@@ -1,11 +1,11 @@
 //! The nodes of simulated graphs. Each checks every byte of its inputs.
 
+use crate::world::{disk, point};
 use panoscope_node::export::NodeTypeOf;
 use panoscope_node::{
     AnyFormat, Context, Finish, Gray8, Image, NoPorts, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Retained,
     Slot, abi, error,
 };
-use panoscope_sim_world::{disk, point};
 
 use crate::content::{Content, name_hash};
 use crate::harm::Harm;
@@ -223,7 +223,7 @@ fn make<'f>(
     let more = if harm == Harm::WrongSize { (1, 3) } else { (0, 0) };
     let plane = out.image.alloc_as::<Gray8>(width + more.0, height + more.1)?;
     let pixels = &mut *plane.data;
-    if pixels.iter().take(256).any(|byte| *byte != panoscope_sim_engine::POISON) {
+    if pixels.iter().take(256).any(|byte| *byte != crate::engine::POISON) {
         base.wrong("a new buffer is in use".to_owned());
     }
     paint(cx, plan, &content, pixels);

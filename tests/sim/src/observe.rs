@@ -2,8 +2,8 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use panoscope_sim_world::disk::Disk;
-use panoscope_sim_world::note;
+use crate::world::disk::Disk;
+use crate::world::note;
 
 use crate::content::Content;
 use crate::harm::Harm;

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use crate::world::thread;
 use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Image, Parallel, Params, Result, Slot, error};
-use panoscope_sim_world::thread;
 
 use crate::harm::Harm;
 use crate::observe::{Seen, observe};

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
+use crate::engine::{Plugins, loading};
 use panoscope_abi as abi;
 use panoscope_graph::{Catalog, Graph, GraphText, check};
-use panoscope_sim_engine::{Plugins, loading};
 
 use crate::graphs::Model;
 use crate::nodes;

@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use panoscope_graph::ParamValue;
+use panoscope_sim::engine::{Engine, Options, Outcome};
 use panoscope_sim::graphs::{Kind, Model, Node, Trouble};
 use panoscope_sim::harm::Harm;
 use panoscope_sim::observe::{self, Seen};
 use panoscope_sim::plugins::simulated;
-use panoscope_sim_engine::{Engine, Options, Outcome};
-use panoscope_sim_world::disk::Disk;
-use panoscope_sim_world::time::Instant;
-use panoscope_sim_world::{Settings, run, thread};
+use panoscope_sim::world::disk::Disk;
+use panoscope_sim::world::time::Instant;
+use panoscope_sim::world::{Settings, run, thread};
 
 fn sleep_ms(ms: u64) {
     thread::sleep(Duration::from_millis(ms));

@@ -155,7 +155,7 @@ fn mistakes_in_the_engine_are_found() {
         let output = simulate(first..first + CASES_FOR_A_MUTATION, &["--until-found", "--mutation", mutation]);
         (mutation, output.status.code() == Some(1) && text(&output).contains("FAILED seed"), text(&output))
     };
-    let results = in_parallel(panoscope_sim_engine::mutations(), find);
+    let results = in_parallel(panoscope_sim::engine::mutations(), find);
     let missed: Vec<_> = results.iter().filter(|(_, found, _)| !found).map(|(name, ..)| *name).collect();
     for (name, _, words) in &results {
         println!("{name}: {}", words.lines().take(2).collect::<Vec<_>>().join(" "));

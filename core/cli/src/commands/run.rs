@@ -11,6 +11,7 @@ use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphOptions, GraphText, OnFault, ParamValue, installed};
+use panoscope_host::attach::Attachable;
 use panoscope_host::loader::Live;
 use panoscope_host::loader::graph_file::Ready;
 use panoscope_host::loader::live::FileWatch;
@@ -232,89 +233,76 @@ pub struct Running<'e> {
     pub expected_faults: BTreeSet<String>,
 }
 
-/// Runs a graph to its end, optionally recorded, and updates observers ten times a second. Without a server,
-/// `--foxglove` is left to the program that has one.
-pub fn run_with(
-    arguments: &Arguments,
-    record: Option<RecordOptions>,
-    mut server: Option<Box<dyn Server>>,
-    mut look: impl FnMut(&mut Running),
-) -> Result<RunEnd> {
-    if arguments.foxglove.is_some() && server.is_none() {
-        return beside::lab().map(RunEnd::Not);
-    }
-    let on_duty = signals::opening();
-    if arguments.log_format == LogFormat::Json {
-        terminal::write_json_lines();
-    }
-    let given = arguments.given.options(&arguments.set);
-    let (mut ready, seal) = match open(arguments, &given)? {
+/// Reads and checks the graph, see [`open`]. Prints its mistakes and warnings; `None` if it cannot run.
+fn open_and_report(arguments: &Arguments, given: &GraphOptions) -> Result<Option<Opened>> {
+    let opened = match open(arguments, given)? {
         Ok(opened) => opened,
         Err(error) => {
             log!("{}", error.to_string().trim_end());
-            return Ok(RunEnd::Not(End::Wrong));
+            return Ok(None);
         }
     };
-    if !ready.warnings.is_empty() {
-        log!("{}", ready.warnings.render(stderr_color()).trim_end());
+    let warnings = &opened.0.warnings;
+    if !warnings.is_empty() {
+        log!("{}", warnings.render(stderr_color()).trim_end());
     }
     if let Some(notice) = installed::notice(&arguments.graph) {
         log!("note: {notice}");
     }
-    let graph = ready.graph.clone();
-    let monitor = match arguments.web.map(|address| (address, Monitor::start(address))) {
-        None => None,
-        Some((address, Ok(monitor))) => {
+    Ok(Some(opened))
+}
+
+/// What serves a running graph to other programs.
+struct Outlets {
+    monitor: Option<Monitor>,
+    server: Option<Box<dyn Server>>,
+    windows: Option<Attachable>,
+}
+
+impl Outlets {
+    /// Listens at the requested addresses, before the graph of this name runs. `None` if one cannot be used; the reason has been reported.
+    fn start(arguments: &Arguments, mut server: Option<Box<dyn Server>>, graph: &str) -> Option<Self> {
+        fn reported<T>(result: Result<T, impl std::fmt::Display>) -> Option<T> {
+            result.inspect_err(|error| log!("error: {error}")).ok()
+        }
+        let monitor = match arguments.web {
+            Some(address) => Some(reported(Monitor::start(address))?),
+            None => None,
+        };
+        if let Some((address, monitor)) = arguments.web.zip(monitor.as_ref()) {
             log!("serves http://{}", monitor.address());
             if address.is_public() {
                 log!("warning: other machines can reach this address; whoever does sees the pictures");
             }
-            Some(monitor)
         }
-        Some((_, Err(error))) => {
-            log!("error: {error}");
-            return Ok(RunEnd::Not(End::Failed));
+        if let Some(server) = &mut server {
+            reported(server.start(graph))?;
         }
-    };
-    if let Some(Err(error)) = server.as_mut().map(|server| server.start(&graph.name)) {
-        log!("error: {error}");
-        return Ok(RunEnd::Not(End::Failed));
+        let windows = reported(arguments.windows.start())?;
+        Some(Self { monitor, server, windows })
     }
-    let attachable = match arguments.windows.start() {
-        Ok(attachable) => attachable,
-        Err(error) => {
-            log!("error: {error}");
-            return Ok(RunEnd::Not(End::Failed));
-        }
-    };
-    let is_json = arguments.log_format == LogFormat::Json;
-    let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless && !is_json);
+}
+
+/// Starts the recorder of a checked graph whose text holds all parts, arguments and overlays, so that a recording needs no other file.
+fn start_recorder(
+    arguments: &Arguments,
+    ready: &Ready,
+    text: &str,
+    settings: &[String],
+    options: RecordOptions,
+) -> Result<Arc<Recorder>> {
+    let mut head = head(&ready.graph, &ready.catalog, &ready.loader, &arguments.graph, text, settings);
+    head.all_ports = options.all_ports;
+    Ok(Recorder::start(options, head)?)
+}
+
+/// Options of the engine, without those that observe or trace the run.
+fn engine_options(arguments: &Arguments, progress: &Progress, numbers: &TickNumbers) -> Result<Options> {
     let faults = match &arguments.fault_log {
         Some(path) => Some(json_lines(path).with_context(|| format!("cannot write {}", path.display()))?),
         None => None,
     };
-    // One text that holds all parts, arguments and overlays, so that a recording needs no other file.
-    let (text, settings) = (ready.text.flattened(&ready.catalog).into_owned(), ready.text.settings());
-    let recorder = match record {
-        Some(options) => {
-            let (catalog, loader) = (&ready.catalog, &ready.loader);
-            let mut head = head(&graph, catalog, loader, &arguments.graph, &text, &settings);
-            head.all_ports = options.all_ports;
-            Some(Recorder::start(options, head)?)
-        }
-        None => None,
-    };
-    let timeline = arguments.trace.is_some().then(|| Arc::new(Timeline::default()));
-    let numbers = match TickNumbers::new(&arguments.measure, &ready.text, &ready.graph, &ready.catalog) {
-        Ok(numbers) => numbers,
-        Err(error) => {
-            log!("error: {error}");
-            return Ok(RunEnd::Not(End::Wrong));
-        }
-    };
-    let options = Options {
-        observer: recorder.clone().map(|recorder| recorder as _),
-        tracer: timeline.clone().map(|timeline| timeline as _),
+    Ok(Options {
         threads: arguments.threads.map_or(0, usize::from),
         frames: arguments.frames,
         paced: !arguments.unpaced,
@@ -326,6 +314,46 @@ pub fn run_with(
         listen: numbers.listeners(),
         numbers: numbers.number_listeners(),
         ..Options::default()
+    })
+}
+
+/// Runs a graph to its end, optionally recorded, and updates observers ten times a second. Without a server,
+/// `--foxglove` is left to the program that has one.
+pub fn run_with(
+    arguments: &Arguments,
+    record: Option<RecordOptions>,
+    server: Option<Box<dyn Server>>,
+    look: impl FnMut(&mut Running),
+) -> Result<RunEnd> {
+    if arguments.foxglove.is_some() && server.is_none() {
+        return beside::lab().map(RunEnd::Not);
+    }
+    let on_duty = signals::opening();
+    let is_json = arguments.log_format == LogFormat::Json;
+    if is_json {
+        terminal::write_json_lines();
+    }
+    let given = arguments.given.options(&arguments.set);
+    let Some((mut ready, seal)) = open_and_report(arguments, &given)? else { return Ok(RunEnd::Not(End::Wrong)) };
+    let Some(mut outlets) = Outlets::start(arguments, server, &ready.graph.name) else {
+        return Ok(RunEnd::Not(End::Failed));
+    };
+    let mut progress = Progress::new(&ready.graph.name, arguments.frames, !arguments.headless && !is_json);
+    let numbers = match TickNumbers::new(&arguments.measure, &ready.text, &ready.graph, &ready.catalog) {
+        Ok(numbers) => numbers,
+        Err(error) => {
+            log!("error: {error}");
+            return Ok(RunEnd::Not(End::Wrong));
+        }
+    };
+    let options = engine_options(arguments, &progress, &numbers)?;
+    let (text, settings) = (ready.text.flattened(&ready.catalog).into_owned(), ready.text.settings());
+    let recorder = record.map(|options| start_recorder(arguments, &ready, &text, &settings, options)).transpose()?;
+    let timeline = arguments.trace.is_some().then(|| Arc::new(Timeline::default()));
+    let options = Options {
+        observer: recorder.clone().map(|recorder| recorder as _),
+        tracer: timeline.clone().map(|timeline| timeline as _),
+        ..options
     };
     // Not before the recording's head has the names of the files.
     if let Some(seal) = &seal {
@@ -342,32 +370,15 @@ pub fn run_with(
     };
     let on_duty = on_duty.watching();
     allocations::exclude_this_thread();
-    let mut files = arguments.watch.then(|| {
+    let files = arguments.watch.then(|| {
         let files = ready.text.files().into_iter().skip(1).map(|f| PathBuf::from(f.path));
         FileWatch::new(&arguments.graph, &ready.loader).with_files(files)
     });
     let mut live = Live::new(&engine, &arguments.graph, text, settings, ready.loader);
     live.set_seal(seal);
-    let mut running = Running { live, catalog: &ready.catalog, expected_faults: BTreeSet::new() };
-    let windows = attachable.as_ref();
-    let during = || {
-        look(&mut running);
-        if let Some(monitor) = &monitor {
-            monitor.update(&engine, |graph| running.live.loader().catalog_of_graph(graph));
-        }
-        if let Some(server) = &mut server {
-            server.update(&mut running.live);
-        }
-        if let Some(windows) = windows {
-            windows.update(&mut running.live).iter().for_each(|line| log!("{line}"));
-        }
-        if let Some(files) = &mut files {
-            apply_changes(files, &mut running.live, &given);
-        }
-    };
-    windows::beside(windows, &engine, || watch(&engine, &mut progress, during));
-    drop((server, attachable));
-    let Running { expected_faults, .. } = running;
+    let running = Running { live, catalog: &ready.catalog, expected_faults: BTreeSet::new() };
+    let expected_faults =
+        attend(&engine, running, &mut outlets, files.map(|files| (files, &given)), &mut progress, look);
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
     if let Some(path) = &arguments.report {
         let ticks = (!arguments.measure.is_empty()).then(|| numbers.table());
@@ -379,6 +390,37 @@ pub fn run_with(
         verdict.add(Weight::Error, format!("cannot write {}: {error}", path.display()));
     }
     Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
+}
+
+/// Updates everything that observes the run, and applies changed files, until the run ends; then only the monitor goes on. Returns the nodes
+/// whose faults do not fail the run.
+fn attend(
+    engine: &Engine,
+    mut running: Running,
+    outlets: &mut Outlets,
+    mut files: Option<(FileWatch, &GraphOptions)>,
+    progress: &mut Progress,
+    mut look: impl FnMut(&mut Running),
+) -> BTreeSet<String> {
+    let Outlets { monitor, server, windows } = &mut *outlets;
+    let during = || {
+        look(&mut running);
+        if let Some(monitor) = monitor {
+            monitor.update(engine, |graph| running.live.loader().catalog_of_graph(graph));
+        }
+        if let Some(server) = server.as_mut() {
+            server.update(&mut running.live);
+        }
+        if let Some(windows) = windows.as_ref() {
+            windows.update(&mut running.live).iter().for_each(|line| log!("{line}"));
+        }
+        if let Some((files, given)) = &mut files {
+            apply_changes(files, &mut running.live, given);
+        }
+    };
+    windows::beside(windows.as_ref(), engine, || watch(engine, progress, during));
+    (outlets.server, outlets.windows) = (None, None);
+    running.expected_faults
 }
 
 /// Closes a finished or cancelled run, shows its summary and evaluates it. Faults of the nodes in `expected_faults` do

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use panoscope_cli::beside;
-use panoscope_dicom::DicomError;
-use panoscope_dicom::object::Clip;
+use panoscope_export::dicom::DicomError;
+use panoscope_export::dicom::object::Clip;
 
 use panoscope_cli::terminal::log;
 

@@ -6,10 +6,10 @@ mod pick;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use panoscope_dicom::export::{self, Kind};
-use panoscope_dicom::net::{self, AeTitle, Peer};
-use panoscope_dicom::object::Region;
-use panoscope_dicom::{Entry, Query, outbox};
+use panoscope_export::dicom::export::{self, Kind};
+use panoscope_export::dicom::net::{self, AeTitle, Peer};
+use panoscope_export::dicom::object::Region;
+use panoscope_export::dicom::{Entry, Query, outbox};
 
 use panoscope_cli::End;
 use panoscope_cli::terminal::{log, out};
@@ -93,7 +93,7 @@ impl QueryArguments {
     /// The query.
     fn query(&self) -> Result<Query, QueryError> {
         let date = match self.date.as_str() {
-            "today" => panoscope_dicom::today(),
+            "today" => panoscope_export::dicom::today(),
             "all" => String::new(),
             days => {
                 let is_day = |day: &str| day.len() == 8 && day.bytes().all(|b| b.is_ascii_digit());

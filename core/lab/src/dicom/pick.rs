@@ -3,8 +3,8 @@
 use std::io::{BufRead, IsTerminal, Write};
 
 use anyhow::{Result, bail};
-use panoscope_dicom::Entry;
 use panoscope_engine::text_table::table as text_table;
+use panoscope_export::dicom::Entry;
 
 use panoscope_cli::terminal::log;
 

@@ -1,4 +1,4 @@
-//! Recordings as files of other programs, and a running graph for Foxglove ([`live`]).
+//! Recordings as files of other programs, a running graph for Foxglove ([`live`]), and a procedure as DICOM objects ([`dicom`]).
 //!
 //! [`Export`] selects ports and ticks of a recording and determines the content of each port. [`folder::write`] makes a
 //! folder of PNG, NPY, PLY, CSV and YAML files, [`foxglove::write`] an MCAP file with the schemas of Foxglove;
@@ -7,6 +7,7 @@
 //!
 //! Both give a [`PortReport`] per port: it names everything that a target cannot represent.
 
+pub mod dicom;
 mod error;
 pub mod folder;
 pub mod foxglove;

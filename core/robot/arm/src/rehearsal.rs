@@ -4,7 +4,7 @@
 //! As in the graph, the cameras are where the arm was one tick ago, and the tip is known only while it is in the left
 //! image, with the noise of stereo. Finds and evaluates gains quickly; the graph is evaluated separately.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use panoscope_tracking::kalman::Model;
 use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
@@ -183,6 +183,72 @@ fn offset(scenario: Scenario, script: &[Stroke], seconds: f64) -> Vector3<f64> {
     }
 }
 
+/// A point of the room in the left camera's frame, mm, and whether it is in the left image.
+fn seen_from(camera: &Isometry3<f64>, point: &Point3<f64>) -> (Vector3<f64>, bool) {
+    let p = camera.inverse_transform_point(point).coords;
+    let (u, v) = (FOCAL_PX * p.x / p.z + (WIDTH_PX - 1.0) / 2.0, FOCAL_PX * p.y / p.z + (HEIGHT_PX - 1.0) / 2.0);
+    (p, p.z > 0.0 && (0.0..WIDTH_PX).contains(&u) && (0.0..HEIGHT_PX).contains(&v))
+}
+
+/// Score of a detection.
+fn score(scenario: Scenario) -> f64 {
+    if scenario == Scenario::Smoke { 0.55 } else { 0.9 }
+}
+
+/// Detection of a tip at `p`, in the left camera's frame, with the noise of stereo.
+fn detection(scenario: Scenario, p: Vector3<f64>, random: &mut Random) -> Report {
+    let bad = if scenario == Scenario::Smoke { 3.0 } else { 1.0 };
+    let mut bell = |deviation: f64| ((0..6).map(|_| random.unit()).sum::<f64>() - 3.0) * 1.414 * deviation * bad;
+    let inverse = p.z.recip() * (1.0 + bell(0.3) * p.z / (FOCAL_PX * BASELINE_MM));
+    let (x, y, z) = (p.x / p.z + bell(0.5) / FOCAL_PX, p.y / p.z + bell(0.5) / FOCAL_PX, 1.0 / inverse);
+    let xyz_mm = Vector3::new(x * z, y * z, z);
+    Report { xyz_mm, score: score(scenario), track_id: -1, class_index: 0, age_s: 0.0 }
+}
+
+/// All detections of one image, with the leading tip at `tip` in the room.
+fn detections(
+    scenario: Scenario,
+    at_s: f64,
+    tip: &Point3<f64>,
+    camera: &Isometry3<f64>,
+    random: &mut Random,
+) -> Vec<Report> {
+    let (p, in_view) = seen_from(camera, tip);
+    let mut reports = Vec::new();
+    let shown = match scenario {
+        Scenario::Cross => {
+            let aside = -18.0 * (at_s / 8.0 * std::f64::consts::TAU).cos();
+            let (other, other_in_view) = seen_from(camera, &(tip + Vector3::new(aside, 2.0, -8.0)));
+            if other_in_view {
+                reports.push(detection(scenario, other, random));
+            }
+            // The other tool hides the leading tip while it is in front of it.
+            aside.abs() > 2.5
+        }
+        Scenario::Occlusion => at_s <= START_S || at_s % 2.0 >= 0.2,
+        Scenario::Smoke => in_view && random.of(5) != 0,
+        _ => true,
+    };
+    if in_view && shown {
+        reports.push(detection(scenario, p, random));
+    }
+    reports
+}
+
+/// How the tracker follows tips.
+fn rules() -> Rules {
+    Rules {
+        model: Model { acceleration_mm_s2: 200.0, ..Model::default() },
+        lateral_px: 1.0,
+        disparity_px: 0.5,
+        focal_px: FOCAL_PX,
+        baseline_mm: BASELINE_MM,
+        min_score: 0.3,
+        max_gap_s: 0.3,
+        switch_s: 0.6,
+    }
+}
+
 /// Plays a scenario for `seconds` at `rate_hz`.
 pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz: f64, goals: &Goals) -> Vec<Row> {
     let mut random = Random::new(seed);
@@ -194,17 +260,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
     let mut arm = SimArm::new(quality, JointVector::zeros());
     let (mut tracker, mut controller) = (Tracker::default(), Controller::new(chain.clone()));
     let cameras = CameraGeometry { focal_px: (FOCAL_PX, FOCAL_PX), baseline_mm: BASELINE_MM };
-    let rules = Rules {
-        model: Model { acceleration_mm_s2: 200.0, ..Model::default() },
-        lateral_px: 1.0,
-        disparity_px: 0.5,
-        focal_px: FOCAL_PX,
-        baseline_mm: BASELINE_MM,
-        min_score: 0.3,
-        max_gap_s: 0.3,
-        switch_s: 0.6,
-    };
-    let smoky = scenario == Scenario::Smoke;
+    let rules = rules();
     let (mut encoders, mut set_point) = (JointVector::zeros(), JointVector::zeros());
     let mut camera = base_from_home.inverse() * home.base_from_camera;
     let mut rows = Vec::new();
@@ -214,44 +270,8 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
         let at_s = now_ns as f64 * 1e-9;
         // The picture.
         let tip_room = Point3::from(Vector3::new(BASELINE_MM / 2.0, 0.0, 66.3) + offset(scenario, &script, at_s));
-        let hidden = scenario == Scenario::Occlusion && at_s > START_S && at_s % 2.0 < 0.2;
-        let seen = |point: &Point3<f64>| {
-            let p = camera.inverse_transform_point(point).coords;
-            let (u, v) =
-                (FOCAL_PX * p.x / p.z + (WIDTH_PX - 1.0) / 2.0, FOCAL_PX * p.y / p.z + (HEIGHT_PX - 1.0) / 2.0);
-            let inside = p.z > 0.0 && (0.0..WIDTH_PX).contains(&u) && (0.0..HEIGHT_PX).contains(&v);
-            (p, inside)
-        };
-        let (p, in_view) = seen(&tip_room);
-        let bad = if smoky { 3.0 } else { 1.0 };
-        let mut reports = Vec::new();
-        let mut report = |p: Vector3<f64>, random: &mut Random| {
-            let mut bell =
-                |deviation: f64| ((0..6).map(|_| random.unit()).sum::<f64>() - 3.0) * 1.414 * deviation * bad;
-            let inverse = p.z.recip() * (1.0 + bell(0.3) * p.z / (FOCAL_PX * BASELINE_MM));
-            let (x, y, z) = (p.x / p.z + bell(0.5) / FOCAL_PX, p.y / p.z + bell(0.5) / FOCAL_PX, 1.0 / inverse);
-            let score = if smoky { 0.55 } else { 0.9 };
-            reports.push(Report {
-                xyz_mm: Vector3::new(x * z, y * z, z),
-                score,
-                track_id: -1,
-                class_index: 0,
-                age_s: 0.0,
-            });
-        };
-        if scenario == Scenario::Cross {
-            let aside = -18.0 * (at_s / 8.0 * std::f64::consts::TAU).cos();
-            let (other, other_seen) = seen(&(tip_room + Vector3::new(aside, 2.0, -8.0)));
-            if other_seen {
-                report(other, &mut random);
-            }
-            // The other tool hides the leading tip while it is in front of it.
-            if in_view && aside.abs() > 2.5 {
-                report(p, &mut random);
-            }
-        } else if in_view && !hidden && !(smoky && random.of(5) == 0) {
-            report(p, &mut random);
-        }
+        let (p, in_view) = seen_from(&camera, &tip_room);
+        let reports = detections(scenario, at_s, &tip_room, &camera, &mut random);
         // The nodes, in their order.
         let known = tracker.step(now_ns, reports.iter().copied(), &camera, &rules);
         let (gap_s, fade) = match known {
@@ -261,7 +281,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
         };
         let tip = tracker.state().map(|(place, _)| SeenTip {
             xyz_mm: camera.inverse_transform_point(&Point3::from(place)).coords,
-            score: fade * if smoky { 0.55 } else { 0.9 },
+            score: fade * score(scenario),
             age_s: 0.0,
         });
         let demand = controller.step(now_ns, tip, &encoders, Some(&set_point), &cameras, goals);

@@ -68,6 +68,7 @@ fn obey() {
             _ => {}
         }
     }
+    #[expect(clippy::disallowed_methods, reason = "a test program without foreign libraries, from a thread")]
     std::process::exit(0);
 }
 

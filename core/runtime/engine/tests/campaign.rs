@@ -70,7 +70,7 @@ fn case(number: usize, seed: u64) -> Case {
         },
     );
     let hang_ms = [400, 60_000][dice.below(2)];
-    let mut text = "mode = \"live\"\nplugins = [\"flow\", \"chaos\"]\n".to_owned();
+    let mut text = "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n".to_owned();
     let params = format!(
         "params = {{ harm = \"{harm}\", first = {first}, ticks = {ticks}, seed = {number}, hang_ms = {hang_ms}.0, slow_ms = 14.0 }}"
     );
@@ -235,7 +235,7 @@ fn an_isolated_fault_is_over_soon() {
     for (harm, cause) in [("panic", Cause::Panic), ("error", Cause::Error), ("hang", Cause::Hang)] {
         for round in 0..4 {
             let text = format!(
-                "mode = \"live\"\nplugins = [\"flow\", \"chaos\"]\n\
+                "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n\
                  [nodes.source]\ntype = \"frames\"\n\
                  params = {{ width_px = 32, height_px = 24, format = \"gray8\", rate_hz = 100.0 }}\n\
                  [nodes.bad]\ntype = \"chaos\"\ninputs = {{ image = {{ from = \"source.image\", queue = 200 }} }}\n\

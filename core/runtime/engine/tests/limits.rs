@@ -20,7 +20,7 @@ fn graph(bad: &str, params: &str) -> String {
     format!(
         r#"
 mode = "live"
-plugins = ["flow", "fixtures", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.a]
 type = "frames"
 params = {{ width_px = 16, height_px = 8, format = "gray8", rate_hz = 200.0 }}
@@ -179,7 +179,7 @@ fn a_failed_source_whose_position_is_not_kept_or_taken_over_in_time_is_opened_ag
         for (hangs, what) in [("save", "from saving its state"), ("load", "from taking over a state")] {
             let camera = format!(
                 r#"mode = "{mode}"
-plugins = ["flow", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.bad]
 type = "chaos_camera"
 params = {{ hangs = "{hangs}", {HANGS_MS}, fails_at = 20 }}
@@ -427,7 +427,7 @@ fn a_source_in_a_loop_goes_on_after_a_call_that_failed_or_did_not_return() {
         let text = format!(
             r#"
 mode = "live"
-plugins = ["flow", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.bad]
 type = "chaos_source"
 inputs = {{ before = {{ from = "back.image", delay = 1 }} }}
@@ -452,7 +452,7 @@ inputs = {{ image = "back.image" }}
 fn wires_on_which_packets_wait_for_their_time_have_a_bound() {
     let text = r#"
 mode = "live"
-plugins = ["flow", "chaos"]
+plugins = ["flow", "fixtures"]
 [nodes.slow]
 type = "frames"
 params = { width_px = 16, height_px = 8, format = "gray8", rate_hz = 0.6 }

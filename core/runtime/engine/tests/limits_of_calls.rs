@@ -10,10 +10,10 @@ use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
 use panoscope_host::loader::Loader;
 
-/// `source` -> `bad` of the plugin `chaos` -> `end`.
+/// `source` -> `bad` of the type `chaos` -> `end`.
 fn start(mode: &str, kind: &str, settings: &str, options: Options) -> Engine {
     let text = format!(
-        "mode = \"{mode}\"\nplugins = [\"flow\", \"chaos\"]\n\
+        "mode = \"{mode}\"\nplugins = [\"flow\", \"fixtures\"]\n\
          [nodes.source]\ntype = \"frames\"\n\
          params = {{ width_px = 32, height_px = 24, format = \"gray8\", rate_hz = 100.0 }}\n\
          [nodes.bad]\ntype = \"{kind}\"\ninputs = {{ image = {{ from = \"source.image\", queue = 200 }} }}\n{settings}\n\
@@ -133,7 +133,7 @@ fn a_node_that_writes_beyond_its_output_is_named() {
 #[test]
 fn ticks_without_a_frame_are_no_frames() {
     let engine = start_graph(
-        "mode = \"live\"\nplugins = [\"flow\", \"chaos\"]\n\
+        "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n\
          [nodes.source]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 20, ticks = 1000000 }\n\
          [nodes.end]\ntype = \"drain\"\ninputs = { image = \"source.image\" }\n",
         Options { paced: false, ..Options::default() },

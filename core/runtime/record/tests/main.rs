@@ -3,5 +3,8 @@
 mod channels;
 #[path = "../../engine/tests/common/mod.rs"]
 mod common;
+mod damage;
 mod disk;
+mod formats;
+mod full_disk;
 mod record;

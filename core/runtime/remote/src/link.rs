@@ -261,6 +261,12 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
     let mine = Arc::clone(&connection);
     std::thread::Builder::new().spawn(move || mine.probe(&ping))?;
     connection.wait_until_ready()?;
+    hand_over(&connection, link)?;
+    Ok(connection)
+}
+
+/// Sends what the host gives, in its order, until there is no more, and carries the messages of each lane on a thread.
+fn hand_over(connection: &Arc<Connection>, link: &Link) -> Result<(), RemoteError> {
     let mut lanes = 0;
     while let Some(given) = link.next()? {
         match given {
@@ -283,7 +289,7 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
                 connection.send(&Message::Lane { id: lanes }, Vec::new())?;
                 let lane = Arc::new(lane);
                 lock(&connection.shown).push(Arc::downgrade(&lane));
-                let (mine, id) = (Arc::clone(&connection), lanes);
+                let (mine, id) = (Arc::clone(connection), lanes);
                 let work = move || {
                     if let Err(cause) = mine.carry(id, &lane, &received) {
                         lose(RemoteError::Lane { cause: Box::new(cause) });
@@ -294,7 +300,7 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
             }
         }
     }
-    Ok(connection)
+    Ok(())
 }
 
 impl Connection {

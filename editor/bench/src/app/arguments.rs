@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use eframe::egui::{self, Context, Frame, Key, Margin, RichText};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_host::loader::Loader;
 
 use super::App;

@@ -7,7 +7,7 @@ use eframe::egui::{Context, Frame, Margin, Panel, RichText, Ui, WidgetInfo, Widg
 use panoscope_editor_model::disk;
 use panoscope_editor_model::history::Origin;
 use panoscope_editor_model::session::Session;
-use panoscope_editor_texts::{decimal, text, with_decimal_sign};
+use panoscope_editor_model::texts::{decimal, text, with_decimal_sign};
 use panoscope_editor_widgets::theme;
 use panoscope_host::attach::{Attachment, Clock, Contact, State};
 

@@ -1,7 +1,7 @@
 //! Performs what the user asks for: by key, button, canvas or panel.
 
 use eframe::egui::{Context, Event, Modifiers, Vec2, vec2};
-use panoscope_editor_texts::{language, set_language, text};
+use panoscope_editor_model::texts::{language, set_language, text};
 use panoscope_eval::sweep::can_sweep;
 
 use super::App;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{Color32, FontId, Label, RichText, ScrollArea, Ui, WidgetInfo, WidgetType};
 use panoscope_editor_model::difference::{self, Line};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Equal lines shown before and after a change.

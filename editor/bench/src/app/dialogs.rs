@@ -5,8 +5,8 @@ use eframe::egui::{self, Context, Frame, Margin, RichText};
 use super::{App, NOTE};
 use crate::actions;
 use crate::panels::plugins;
-use panoscope_editor_texts as texts;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Height of a window that the list of keys leaves free, points.

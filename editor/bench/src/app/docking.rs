@@ -7,7 +7,7 @@ use eframe::egui::{
     WidgetType, vec2,
 };
 use panoscope_editor_model::docks::{Layout, Panel, Side, Window};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 
 use super::App;
 use crate::actions::{self, Action};

@@ -13,7 +13,7 @@ use crate::actions::{Action, key_name};
 use panoscope_editor_model::disk;
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::numbered::create_folder;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// How long a stop lasts if nothing is done.
@@ -225,7 +225,7 @@ impl App {
 
 #[cfg(test)]
 mod tests {
-    use panoscope_editor_texts::{Language, set_language};
+    use panoscope_editor_model::texts::{Language, set_language};
 
     use super::*;
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use eframe::egui::Ui;
 use panoscope_editor_model::docks::Panel;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::NodeType;
 
 use super::App;

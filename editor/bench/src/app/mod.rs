@@ -24,7 +24,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, Ui};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::edit::EditError;
 use panoscope_graph::{GraphOptions, GraphText, installed};
 

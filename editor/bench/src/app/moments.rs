@@ -12,8 +12,8 @@ use crate::viewer::Source;
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::numbered::next_file;
 use panoscope_editor_model::session::{Status, recordings_folder};
+use panoscope_editor_model::texts::text;
 use panoscope_editor_model::timeline::{Timeline, second};
-use panoscope_editor_texts::text;
 use panoscope_editor_widgets::OutputCache;
 
 impl App {

@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use eframe::egui::{self, Context, Frame, Margin, RichText, WidgetInfo, WidgetType, vec2};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::edit::{EditError, GraphEdit};
 
 use super::App;

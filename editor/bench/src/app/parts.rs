@@ -7,7 +7,7 @@ use std::sync::Arc;
 use eframe::egui::text::{CCursor, CCursorRange};
 use eframe::egui::text_edit::TextEditState;
 use eframe::egui::{self, Context, Frame, Key, Margin, RichText, TextEdit};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::edit::EditError;
 
 use super::App;

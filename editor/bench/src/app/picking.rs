@@ -11,7 +11,7 @@ use crate::picker::{self, Picker};
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::ops;
 use panoscope_editor_model::sweeping::Progress;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 
 impl App {
     /// Starts picking points or rectangles of a parameter on the image that they refer to.

@@ -10,7 +10,7 @@ use super::conflict::Conflict;
 use panoscope_editor_model::copying;
 use panoscope_editor_model::disk::{self, DiskWatch};
 use panoscope_editor_model::history::Origin;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 impl App {

@@ -8,7 +8,7 @@ use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::presets::{self, Changes};
 use panoscope_editor_model::snapshots;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 
 impl App {
     /// Shows or hides the panel of presets and snapshots; reads their files when it opens.

@@ -6,7 +6,7 @@ use super::App;
 use crate::actions::{Action, hint};
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::problems::{self, Problem};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Width of the tour's window, points.

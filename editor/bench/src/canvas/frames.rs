@@ -8,7 +8,7 @@ use super::interaction::CanvasRequest;
 use super::paint::MIN_TEXT;
 use super::{Canvas, Scene};
 use panoscope_editor_model::folding::parent;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Height of a frame's title, in points at zoom 1.

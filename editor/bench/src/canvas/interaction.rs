@@ -9,7 +9,7 @@ use super::shape::{DETAIL, PORTS};
 use super::{Canvas, Mark, Scene};
 use panoscope_editor_model::graph_view::{GraphView, WireError};
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 
 /// Distance within which a dragged wire snaps to a pin, in points of the window.
 const SNAP: f32 = 18.0;

@@ -3,7 +3,7 @@
 use eframe::egui::{Id, Mesh, Pos2, Rect, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo, WidgetType, vec2};
 
 use super::{Canvas, Scene};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Greatest size of the map, in points of the window.

@@ -23,7 +23,7 @@ use eframe::egui::{Mesh, Pos2, Rect, Sense, Ui, Vec2, WidgetInfo, WidgetType, po
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::layout;
 use panoscope_editor_model::observe::{Counters, Output};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::OutputCache;
 
 pub use interaction::{CanvasRequest, End};

@@ -15,7 +15,7 @@ use super::{Canvas, Scene};
 use panoscope_editor_model::content::{Content, DetectedBox};
 use panoscope_editor_model::document::default_value;
 use panoscope_editor_model::graph_view::{GraphView, without_name};
-use panoscope_editor_texts::{decimal, text};
+use panoscope_editor_model::texts::{decimal, text};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme::{self, PinShape};
 use panoscope_engine::fault::{Cause, Fault};

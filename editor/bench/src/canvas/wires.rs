@@ -8,7 +8,7 @@ use super::paths::Path;
 use super::shape::{HEADER, PICTURES};
 use super::{Canvas, Scene};
 use panoscope_editor_model::graph_view::{GraphView, Wire};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Distance between the wires of a bundle, and its greatest width, in points at zoom 1.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use eframe::egui::{Color32, CursorIcon, FontId, Id, Rect, Sense, Stroke, Ui, WidgetInfo, WidgetType, pos2, vec2};
 use panoscope_editor_model::docks::Panel;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 
 use super::arrange::{BAR, Group};
 use super::drag::Drag;

@@ -4,7 +4,7 @@ use eframe::egui::{CursorIcon, EventFilter, Id, Key, Modifiers, Sense, Ui, Widge
 
 use super::{Docks, STEP, title};
 use crate::docks::arrange::Border;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Distance from the line within which the pointer takes it, points.

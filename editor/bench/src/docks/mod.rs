@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{Pos2, Rect, Ui, Vec2};
 use panoscope_editor_model::docks::{self, BrokenLayout, Layout, Panel, Window};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 
 use arrange::{Border, Group};
 

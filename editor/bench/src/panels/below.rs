@@ -5,7 +5,7 @@ use eframe::egui::{
     Align, Color32, FontId, Label, Rect, RichText, ScrollArea, Sense, TextFormat, Ui, WidgetInfo, WidgetType, pos2,
     vec2,
 };
-use panoscope_editor_texts::{decimal, text};
+use panoscope_editor_model::texts::{decimal, text};
 use panoscope_graph::Severity;
 
 use super::inspector::section;

@@ -8,7 +8,7 @@ use eframe::egui::{
 };
 
 use crate::search::{self, Candidate};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Maximum number of entries of a folder.

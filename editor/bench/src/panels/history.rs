@@ -6,7 +6,7 @@ use toml::Value;
 use crate::actions::{self, Action};
 use panoscope_editor_model::document::{Document, default_value};
 use panoscope_editor_model::picture::short;
-use panoscope_editor_texts::{text, with_decimal_sign};
+use panoscope_editor_model::texts::{text, with_decimal_sign};
 use panoscope_editor_widgets::theme;
 
 /// Maximum number of rows.

@@ -6,7 +6,7 @@ use eframe::egui::{
     Align, Button, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
 };
 
-use panoscope_editor_texts::{decimal, text, with_decimal_sign};
+use panoscope_editor_model::texts::{decimal, text, with_decimal_sign};
 use panoscope_eval::sweep::can_sweep;
 
 use super::params;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use eframe::egui::{Grid, Label, RichText, ScrollArea, Ui, WidgetInfo, WidgetType};
-use panoscope_editor_texts::{text, with_decimal_sign};
+use panoscope_editor_model::texts::{text, with_decimal_sign};
 use panoscope_graph::{NodeType, Param, ParamKind, Port};
 
 use super::inspector::section;

@@ -11,7 +11,7 @@ use panoscope_editor_model::document::Document;
 use panoscope_editor_model::folding::opening;
 use panoscope_editor_model::graph_view::{GraphView, NodeView};
 use panoscope_editor_model::observe::Counters;
-use panoscope_editor_texts::{decimal, text};
+use panoscope_editor_model::texts::{decimal, text};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme;
 

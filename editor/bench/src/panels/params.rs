@@ -4,7 +4,7 @@ use eframe::egui::{
     Align, Button, ComboBox, Context, Id, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
     UiBuilder, WidgetInfo, WidgetType, vec2,
 };
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_graph::{Param, ParamKind, Pick};
 
@@ -139,71 +139,12 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
         // The checkbox is shown beside the name.
         ParamKind::Bool { .. } => return None,
         ParamKind::Int { default, min, max, step } => {
-            let mut number = value.as_integer().unwrap_or(*default);
-            let response = match (min, max) {
-                (Some(min), Some(max)) => {
-                    let step = step.unwrap_or(1).max(1);
-                    // Steps count from the minimum; egui's slider steps count from 0.
-                    let mut steps = (number - min).div_euclid(step);
-                    let before = steps;
-                    ui.horizontal(|ui| {
-                        let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step));
-                        let slider = ui.add(slider.show_value(false).clamping(SliderClamping::Edits));
-                        if steps != before {
-                            number = min + steps * step;
-                        }
-                        let typed = drag_value(&mut number).range(*min..=*max).clamp_existing_to_range(false);
-                        let typed = ui.add(typed.speed(step as f64 / 8.0).suffix(unit));
-                        if typed.changed() {
-                            number = min + ((number - min) as f64 / step as f64).round() as i64 * step;
-                        }
-                        beside(slider, typed, &label)
-                    })
-                    .inner
-                }
-                _ => {
-                    let range = min.unwrap_or(i64::MIN)..=max.unwrap_or(i64::MAX);
-                    let drag = drag_value(&mut number).range(range).clamp_existing_to_range(false).suffix(unit);
-                    let drag = ui.add(drag);
-                    name(&drag, &label);
-                    drag
-                }
-            };
-            let new = response.changed().then(|| number.into());
-            (response, new)
+            let number = value.as_integer().unwrap_or(*default);
+            int_widget(ui, &label, &unit, number, (*min, *max), step.unwrap_or(1).max(1))
         }
         ParamKind::Float { default, min, max, step } => {
-            let mut number = value.as_float().or(value.as_integer().map(|i| i as f64)).unwrap_or(*default);
-            let response = match (min, max) {
-                (Some(min), Some(max)) => {
-                    let wide = *min > 0.0 && max / min >= 1000.0;
-                    ui.horizontal(|ui| {
-                        let slider = Slider::new(&mut number, *min..=*max).logarithmic(wide).show_value(false);
-                        let mut slider = slider.clamping(SliderClamping::Edits);
-                        if let Some(step) = step {
-                            slider = slider.step_by(*step);
-                        } else {
-                            slider = slider.max_decimals(3);
-                        }
-                        let slider = ui.add(slider);
-                        let speed = step.unwrap_or((max - min) / 500.0);
-                        let typed = drag_value(&mut number).range(*min..=*max).clamp_existing_to_range(false);
-                        let typed = ui.add(typed.speed(speed).max_decimals(3).suffix(unit));
-                        beside(slider, typed, &label)
-                    })
-                    .inner
-                }
-                _ => {
-                    let range = min.unwrap_or(f64::MIN)..=max.unwrap_or(f64::MAX);
-                    let speed = step.unwrap_or(0.1);
-                    let drag = drag_value(&mut number).range(range).clamp_existing_to_range(false);
-                    let drag = ui.add(drag.speed(speed).suffix(unit));
-                    name(&drag, &label);
-                    drag
-                }
-            };
-            let new = response.changed().then(|| number.into());
-            (response, new)
+            let number = value.as_float().or(value.as_integer().map(|i| i as f64)).unwrap_or(*default);
+            float_widget(ui, &label, &unit, number, (*min, *max), *step)
         }
         ParamKind::Choice { default, choices } => {
             let now = value.as_str().unwrap_or(default).to_owned();
@@ -239,6 +180,78 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
     }
     // Showing a rounded value must not change it.
     new.filter(|new| new != value)
+}
+
+/// A whole number with its unit: a slider and a field where it has both limits, else a field. Returns a new value.
+fn int_widget(
+    ui: &mut Ui,
+    label: &str,
+    unit: &str,
+    mut number: i64,
+    (min, max): (Option<i64>, Option<i64>),
+    step: i64,
+) -> (Response, Option<toml::Value>) {
+    let response = if let (Some(min), Some(max)) = (min, max) {
+        // Steps count from the minimum; egui's slider steps count from 0.
+        let mut steps = (number - min).div_euclid(step);
+        let before = steps;
+        ui.horizontal(|ui| {
+            let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step));
+            let slider = ui.add(slider.show_value(false).clamping(SliderClamping::Edits));
+            if steps != before {
+                number = min + steps * step;
+            }
+            let typed = drag_value(&mut number).range(min..=max).clamp_existing_to_range(false);
+            let typed = ui.add(typed.speed(step as f64 / 8.0).suffix(unit));
+            if typed.changed() {
+                number = min + ((number - min) as f64 / step as f64).round() as i64 * step;
+            }
+            beside(slider, typed, label)
+        })
+        .inner
+    } else {
+        let range = min.unwrap_or(i64::MIN)..=max.unwrap_or(i64::MAX);
+        let drag = ui.add(drag_value(&mut number).range(range).clamp_existing_to_range(false).suffix(unit));
+        name(&drag, label);
+        drag
+    };
+    let new = response.changed().then(|| number.into());
+    (response, new)
+}
+
+/// As [`int_widget`] for a number. A range over three decades has a logarithmic slider.
+fn float_widget(
+    ui: &mut Ui,
+    label: &str,
+    unit: &str,
+    mut number: f64,
+    (min, max): (Option<f64>, Option<f64>),
+    step: Option<f64>,
+) -> (Response, Option<toml::Value>) {
+    let response = if let (Some(min), Some(max)) = (min, max) {
+        let is_wide = min > 0.0 && max / min >= 1000.0;
+        ui.horizontal(|ui| {
+            let slider = Slider::new(&mut number, min..=max).logarithmic(is_wide).show_value(false);
+            let slider = slider.clamping(SliderClamping::Edits);
+            let slider = ui.add(match step {
+                Some(step) => slider.step_by(step),
+                None => slider.max_decimals(3),
+            });
+            let speed = step.unwrap_or((max - min) / 500.0);
+            let typed = drag_value(&mut number).range(min..=max).clamp_existing_to_range(false);
+            let typed = ui.add(typed.speed(speed).max_decimals(3).suffix(unit));
+            beside(slider, typed, label)
+        })
+        .inner
+    } else {
+        let range = min.unwrap_or(f64::MIN)..=max.unwrap_or(f64::MAX);
+        let drag = drag_value(&mut number).range(range).clamp_existing_to_range(false);
+        let drag = ui.add(drag.speed(step.unwrap_or(0.1)).suffix(unit));
+        name(&drag, label);
+        drag
+    };
+    let new = response.changed().then(|| number.into());
+    (response, new)
 }
 
 /// Labels a slider and the number field beside it; a change of either counts.

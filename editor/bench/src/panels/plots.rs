@@ -10,7 +10,7 @@ use super::cutout::Cutout;
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::observe::{Counters, Output, Point};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 

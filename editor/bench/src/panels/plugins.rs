@@ -2,7 +2,7 @@
 
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{CollapsingHeader, Context, FontId, Frame, Margin, Modal, RichText, ScrollArea};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_graph::Catalog;
 use panoscope_host::loader::Loader;
 

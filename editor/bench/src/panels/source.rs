@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use eframe::egui::{Button, FontId, RichText, ScrollArea, TextEdit, TextStyle, Ui};
 
 use panoscope_editor_model::disk;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
 /// Maximum size of a source file, bytes.

@@ -13,7 +13,7 @@ use super::inspector::section;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::presets::Presets;
 use panoscope_editor_model::snapshots::{Snapshot, Snapshots};
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::numbers;
 use panoscope_editor_widgets::{image_of, theme};
 

@@ -9,7 +9,7 @@ use eframe::egui::{
 };
 use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
 use panoscope_base::packet::has_numbers;
-use panoscope_editor_texts::text;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_eval::sweep::{COUNTERS, MAX_STEPS, Point, Request, can_sweep, csv};
 use panoscope_graph::ParamKind;

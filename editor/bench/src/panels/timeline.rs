@@ -6,8 +6,8 @@ use eframe::egui::{Button, Id, Key, Modifiers, RichText, Slider, TextEdit, Ui, W
 
 use crate::actions::{self, Action};
 use crate::panels::files::Target;
+use panoscope_editor_model::texts::{decimal, text};
 use panoscope_editor_model::timeline::Timeline;
-use panoscope_editor_texts::{decimal, text};
 use panoscope_editor_widgets::numbers::drag_value;
 use panoscope_editor_widgets::theme;
 

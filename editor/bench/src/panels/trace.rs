@@ -7,8 +7,8 @@ use eframe::egui::{Align2, Button, FontId, Rect, RichText, ScrollArea, Sense, Ui
 
 use super::inspector::section;
 use panoscope_editor_model::graph_view::GraphView;
+use panoscope_editor_model::texts::text;
 use panoscope_editor_model::trace::{Path, Step, TickEntry, Trace};
-use panoscope_editor_texts::text;
 use panoscope_editor_widgets::{format_time, theme};
 
 /// Time between two readings of the list.

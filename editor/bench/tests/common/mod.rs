@@ -50,7 +50,7 @@ inputs = { image = "mean.image" }
 /// The window.
 pub struct Window {
     pub harness: Harness<'static, Option<App>>,
-    pub textures: panoscope_editor_golden::Textures,
+    pub textures: panoscope_editor_widgets::golden::Textures,
 }
 
 impl Window {
@@ -67,7 +67,7 @@ impl Window {
             let app = app.get_or_insert_with(|| App::open(ui.ctx(), &path, &text, options.clone()).expect("threads"));
             app.ui(ui);
         };
-        let textures = panoscope_editor_golden::Textures::default();
+        let textures = panoscope_editor_widgets::golden::Textures::default();
         let builder = Harness::builder().with_size(vec2(1440.0, 900.0)).renderer(textures.clone());
         Self { harness: builder.build_ui_state(draw, None), textures }
     }

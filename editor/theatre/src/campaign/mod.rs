@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use eframe::egui::{Color32, Context, vec2};
 use egui_kittest::Harness;
 use panoscope_base::random::SplitMix64;
-use panoscope_editor_golden::{Textures, paint};
+use panoscope_editor_widgets::golden::{Textures, paint};
 use panoscope_graph::{Catalog, GraphText, Param, ParamKind, Pick, check};
 
 use self::marks::Mark;

@@ -2,7 +2,7 @@
 
 use eframe::egui::epaint::ClippedShape;
 use eframe::egui::{Color32, Context, FullOutput, Pos2, Rect, Shape, TextureId};
-use panoscope_editor_golden::{Textures, colors_at};
+use panoscope_editor_widgets::golden::{Textures, colors_at};
 
 use super::marks::Mark;
 use crate::arrange::TITLE;

@@ -13,7 +13,7 @@ use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::session::{Phase, Session, Status};
 use panoscope_editor_model::surface::Cloud;
-use panoscope_editor_texts::phrase;
+use panoscope_editor_model::texts::phrase;
 use panoscope_engine::NodeWindow;
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_graph::ParamValue;

@@ -23,7 +23,7 @@ use panoscope_editor_model::arguments::Overlay;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::session::{Phase, Session, Status, Wake};
-use panoscope_editor_texts::phrase;
+use panoscope_editor_model::texts::phrase;
 use panoscope_engine::sync::lock;
 use panoscope_graph::{GraphOptions, ParamValue};
 use panoscope_host::loader::verify::Seal;

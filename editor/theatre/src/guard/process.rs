@@ -16,7 +16,7 @@ use panoscope_abi::Tick;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::surface::Cloud;
-use panoscope_editor_texts::{Phrase, phrase};
+use panoscope_editor_model::texts::{Phrase, phrase};
 use panoscope_engine::clock;
 use panoscope_engine::sync::lock;
 

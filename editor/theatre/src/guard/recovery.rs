@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use panoscope_editor_texts::{Phrase, phrase};
+use panoscope_editor_model::texts::{Phrase, phrase};
 
 use crate::runner::{Outage, OutageStage};
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use panoscope_editor_model::arguments::Overlay;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
-use panoscope_editor_texts::phrase;
+use panoscope_editor_model::texts::phrase;
 use panoscope_graph::{GraphOptions, ParamValue};
 
 use super::process::Process;

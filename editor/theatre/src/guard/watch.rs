@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use panoscope_editor_model::session::Wake;
-use panoscope_editor_texts::{Phrase, phrase};
+use panoscope_editor_model::texts::{Phrase, phrase};
 use panoscope_engine::sync::lock;
 
 use super::process::{Inbox, Incoming, Process, Program};

@@ -11,7 +11,7 @@ use panoscope_graph::GraphOptions;
 use panoscope_theatre::{Guard, Options, Program, Theatre};
 
 use super::{Folder, PATIENCE};
-use panoscope_editor_golden::Textures;
+use panoscope_editor_widgets::golden::Textures;
 
 /// A camera, two stages, a setting.
 pub const GRAPH: &str = r#"# Seen by a surgeon.

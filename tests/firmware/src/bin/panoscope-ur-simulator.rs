@@ -2,12 +2,14 @@
 //!
 //! usage: panoscope-ur-simulator [SERIAL_NUMBER [RTDE_PORT DASHBOARD_PORT]]
 
+use std::process::ExitCode;
+
 use panoscope_arm_core::JointVector;
 use panoscope_firmware::ur::{UrBehaviour, UrSimulator};
 
 const PROGRAM: &str = include_str!("../../../../core/robot/arm_guard/ur/panoscope_arm.script");
 
-fn main() {
+fn main() -> ExitCode {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let serial = args.first().map_or("20240000001", String::as_str);
     let port = |index: usize| args.get(index).and_then(|text| text.parse().ok()).unwrap_or(0);
@@ -22,7 +24,7 @@ fn main() {
         }
         Err(error) => {
             eprintln!("no simulated arm: {error}");
-            std::process::exit(1);
+            ExitCode::FAILURE
         }
     }
 }

@@ -2,10 +2,10 @@
 
 use std::io::Cursor;
 
-use panoscope_dicom::lengths::Encoding;
-use panoscope_dicom::object::{Lengths, parse_jpeg, parse_mp4};
-use panoscope_dicom::part10::Head;
-use panoscope_dicom::{Entry, uid};
+use panoscope_export::dicom::lengths::Encoding;
+use panoscope_export::dicom::object::{Lengths, parse_jpeg, parse_mp4};
+use panoscope_export::dicom::part10::Head;
+use panoscope_export::dicom::{Entry, uid};
 
 pub fn entry(bytes: &[u8]) {
     for encoding in [Encoding::Implicit, Encoding::Explicit] {

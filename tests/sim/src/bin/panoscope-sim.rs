@@ -6,7 +6,7 @@ use std::time::Instant;
 use panoscope_sim::case::Case;
 use panoscope_sim::check::check;
 use panoscope_sim::drive::play;
-use panoscope_sim_world::mutate;
+use panoscope_sim::world::mutate;
 
 const USAGE: &str =
     "usage: panoscope-sim SEED | FROM..TO [--trace] [--describe] [--hash] [--mutation NAME] [--until-found]
@@ -45,14 +45,14 @@ fn request() -> Option<Request> {
             }
         }
     }
-    let known = |name: &String| panoscope_sim_engine::mutations().contains(&name.as_str());
+    let known = |name: &String| panoscope_sim::engine::mutations().contains(&name.as_str());
     let valid = !request.seeds.is_empty() && request.mutation.as_ref().is_none_or(known);
     valid.then_some(request)
 }
 
 fn main() -> ExitCode {
     let Some(request) = request() else {
-        eprintln!("{USAGE}\nmutations: {}", panoscope_sim_engine::mutations().join(", "));
+        eprintln!("{USAGE}\nmutations: {}", panoscope_sim::engine::mutations().join(", "));
         return ExitCode::from(2);
     };
     mutate(request.mutation.as_deref());

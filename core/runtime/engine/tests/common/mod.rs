@@ -13,8 +13,8 @@ use panoscope_host::loader::Loader;
 /// Longest that any graph here may take.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Plugins that the tests here use: `flow` ships, the others lie in `tests/plugins`.
-const PLUGINS: [&str; 3] = ["flow", "fixtures", "chaos"];
+/// Plugins that the tests here use: `flow` ships, `fixtures` lies in `tests/plugins`.
+const PLUGINS: [&str; 2] = ["flow", "fixtures"];
 
 /// The library of the `flow` plugin.
 pub fn flow_plugin() -> &'static Path {

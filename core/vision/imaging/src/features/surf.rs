@@ -93,6 +93,30 @@ fn double(gray: View<'_, u8>, out: &mut Vec<u8>) {
     }
 }
 
+/// The gray image that is searched: `part` of an image, shrunk with area averages, or twice its size where `doubled` has room for that.
+fn searched<'a>(
+    simd: Simd,
+    part: View<'a, u8>,
+    shrink: usize,
+    buffer: &'a mut GrayBuffer,
+    doubled: Option<&'a mut Vec<u8>>,
+    pool: &dyn Parallel,
+) -> View<'a, u8> {
+    let gray = if shrink == 1 && part.channels == 1 {
+        part
+    } else {
+        shrink_gray_with(simd, part, shrink, buffer, pool);
+        buffer.view()
+    };
+    match doubled {
+        None => gray,
+        Some(doubled) => {
+            double(gray, doubled);
+            View::new(doubled, gray.width * 2, gray.height * 2, 1)
+        }
+    }
+}
+
 /// Keypoints, one list per quantity.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Keypoints {
@@ -253,36 +277,15 @@ impl Surf {
             out.clear();
             return;
         }
-        let part = image.crop(roi.x, roi.y, roi.width, roi.height);
-        let doubled = shrink == 1 && self.params.upsample;
-        let gray = if doubled {
-            let gray = if part.channels == 1 {
-                part
-            } else {
-                shrink_gray_with(self.simd, part, 1, &mut self.gray, pool);
-                self.gray.view()
-            };
-            double(gray, &mut self.doubled);
-            View::new(&self.doubled, gray.width * 2, gray.height * 2, 1)
-        } else if shrink == 1 && part.channels == 1 {
-            part
-        } else {
-            shrink_gray_with(self.simd, part, shrink, &mut self.gray, pool);
-            self.gray.view()
-        };
-        self.integral.compute_with(self.simd, gray, pool);
-        self.found.clear();
+        let is_doubled = shrink == 1 && self.params.upsample;
         // More maxima than any part of a picture of this size has, so that the lists do not grow again.
-        let enlarged = if doubled { 4 } else { 1 };
-        let most = enlarged * (image.width / shrink) * (image.height / shrink) / PIXELS_PER_MAXIMUM;
-        self.found.reserve(most);
-        self.kept.clear();
-        self.kept.reserve(most);
-        self.next.clear();
-        self.next.reserve(most);
-        self.order.clear();
-        self.order.reserve(most);
-        let SurfParams { hessian_threshold, octaves, layers, upright, max_points, window, extended, .. } = self.params;
+        let enlarged = if is_doubled { 4 } else { 1 };
+        self.clear_lists(enlarged * (image.width / shrink) * (image.height / shrink) / PIXELS_PER_MAXIMUM);
+        let part = image.crop(roi.x, roi.y, roi.width, roi.height);
+        let doubled = is_doubled.then_some(&mut self.doubled);
+        let gray = searched(self.simd, part, shrink, &mut self.gray, doubled, pool);
+        self.integral.compute_with(self.simd, gray, pool);
+        let SurfParams { hessian_threshold, octaves, layers, max_points, extended, .. } = self.params;
         // A negative threshold would also let saddles through.
         let threshold = hessian_threshold.max(0.0);
         self.detector.detect(self.simd, &self.integral, octaves, layers, threshold, pool, &mut self.found);
@@ -309,7 +312,7 @@ impl Surf {
         out.keypoints.resize(count);
         out.descriptors.resize(count, Descriptor::default());
         out.extension.resize(if extended { count } else { 0 }, Descriptor::default());
-        let ratio = if doubled { 0.5 } else { shrink as f32 };
+        let ratio = if is_doubled { 0.5 } else { shrink as f32 };
         let centre = (ratio - 1.0) * 0.5;
         let keypoints = &mut out.keypoints;
         for (index, point) in self.found.iter().enumerate() {
@@ -320,9 +323,28 @@ impl Surf {
             keypoints.laplacian[index] = point.laplacian;
         }
         self.sort_by_row(height);
+        self.describe_found(pool, out);
+    }
+
+    /// Clears the lists of candidates, with room for `count` of them.
+    fn clear_lists(&mut self, count: usize) {
+        for list in [&mut self.found, &mut self.kept] {
+            list.clear();
+            list.reserve(count);
+        }
+        for list in [&mut self.next, &mut self.order] {
+            list.clear();
+            list.reserve(count);
+        }
+    }
+
+    /// Writes the orientations and descriptors of the keypoints, in the order of [`Self::sort_by_row`].
+    fn describe_found(&self, pool: &dyn Parallel, out: &mut Features) {
+        let SurfParams { upright, window, extended, .. } = self.params;
         let (simd, tables, turns, pyramid) = (self.simd, &self.tables, &self.turns, &self.pyramid);
         let (found, order) = (&self.found, &self.order);
-        let angles = SharedMut::new(&mut keypoints.angle_rad);
+        let count = found.len();
+        let angles = SharedMut::new(&mut out.keypoints.angle_rad);
         let descriptors = SharedMut::new(&mut out.descriptors);
         let extension = SharedMut::new(&mut out.extension);
         pool.run(count.div_ceil(POINTS_PER_CHUNK), &|chunk| {

@@ -148,25 +148,7 @@ impl Adjust {
         let mut best = cost(&self.poses)?;
         let mut damping = 1e-4;
         for _ in 0..ITERATIONS {
-            let first = &self.first;
-            self.normal.reset(rows, |row| (first[row / degrees + 1] - 1) * degrees);
-            self.gradient.clear();
-            self.gradient.resize(rows, 0.0);
-            for edge in graph.edges() {
-                if let Some(ends) = ends(edge) {
-                    linearise(edge, ends, &self.poses, unit, model, &mut self.normal, &mut self.gradient);
-                }
-            }
-            if prior > 0.0 {
-                for (index, pose) in self.poses[1..].iter().enumerate() {
-                    // The last two parameters of a pose are its perspective.
-                    for (k, value) in perspective_px(pose, unit).into_iter().enumerate() {
-                        let row = index * degrees + degrees - 2 + k;
-                        self.normal.add(row, row, prior * unit.scale * unit.scale);
-                        self.gradient[row] -= prior * unit.scale * value;
-                    }
-                }
-            }
+            self.linearise_all(keyframes, graph, unit, model, prior);
             let mut improved = false;
             for _ in 0..5 {
                 self.damped.copy_from(&self.normal);
@@ -178,14 +160,7 @@ impl Adjust {
                     damping *= 10.0;
                     continue;
                 }
-                self.trial.clone_from(&self.poses);
-                for (pose, step) in self.trial[1..].iter_mut().zip(self.step.chunks_exact(degrees)) {
-                    let mut change = Homography::identity();
-                    for (generator, value) in generators(model).iter().zip(step) {
-                        generator.iter().for_each(|(row, column, factor)| change.0[row * 3 + column] += factor * value);
-                    }
-                    *pose = pose.compose(&change);
-                }
+                self.try_step(model);
                 match cost(&self.trial) {
                     Some(value) if value < best => {
                         improved = best - value > best * 1e-5;
@@ -202,6 +177,42 @@ impl Adjust {
             }
         }
         self.settle(keyframes, graph, unit, size)
+    }
+
+    /// Sets the system of equations at the present poses, with the weight `prior` of poses without perspective.
+    fn linearise_all(&mut self, keyframes: &[Keyframe], graph: &Graph, unit: Unit, model: MosaicModel, prior: f64) {
+        let (degrees, first) = (model.degrees(), &self.first);
+        let rows = (self.poses.len() - 1) * degrees;
+        self.normal.reset(rows, |row| (first[row / degrees + 1] - 1) * degrees);
+        self.gradient.clear();
+        self.gradient.resize(rows, 0.0);
+        for edge in graph.edges() {
+            if let Some(ends) = index_of(keyframes, edge.from).zip(index_of(keyframes, edge.to)) {
+                linearise(edge, ends, &self.poses, unit, model, &mut self.normal, &mut self.gradient);
+            }
+        }
+        if prior > 0.0 {
+            for (index, pose) in self.poses[1..].iter().enumerate() {
+                // The last two parameters of a pose are its perspective.
+                for (k, value) in perspective_px(pose, unit).into_iter().enumerate() {
+                    let row = index * degrees + degrees - 2 + k;
+                    self.normal.add(row, row, prior * unit.scale * unit.scale);
+                    self.gradient[row] -= prior * unit.scale * value;
+                }
+            }
+        }
+    }
+
+    /// Sets the trial to the poses after the solved step.
+    fn try_step(&mut self, model: MosaicModel) {
+        self.trial.clone_from(&self.poses);
+        for (pose, step) in self.trial[1..].iter_mut().zip(self.step.chunks_exact(model.degrees())) {
+            let mut change = Homography::identity();
+            for (generator, value) in generators(model).iter().zip(step) {
+                generator.iter().for_each(|(row, column, factor)| change.0[row * 3 + column] += factor * value);
+            }
+            *pose = pose.compose(&change);
+        }
     }
 
     /// Applies the poses unless they would fold a frame.

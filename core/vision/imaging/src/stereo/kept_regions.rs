@@ -6,6 +6,7 @@
 
 use crate::stereo::confidence::ConfidenceParams;
 use crate::stereo::filter_input::FilterInput;
+use crate::stereo::runs::{Runs, Tally, is_near};
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::{Parallel, Rect, SharedMut, ViewMut};
 
@@ -22,19 +23,20 @@ const ROWS: usize = 16;
 /// Pixels of a row that are compared together.
 const GRAIN_PX: usize = 32;
 
-/// Neighbouring pixels of one row and one region.
-#[derive(Clone, Copy, Debug)]
-struct Run {
-    row: u32,
-    start: u32,
-    end: u32,
-    /// A run of the same region; its own index at the region's root, where the counts are.
-    parent: u32,
-    area: u32,
+/// Counts of a region.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
     /// Pixels that are well exposed.
     exposed: u32,
     /// Edges between the region's pixels and pixels of the same surface that the filter has kept.
     contacts: u32,
+}
+
+impl Tally for Counts {
+    fn add(&mut self, other: Self) {
+        self.exposed += other.exposed;
+        self.contacts += other.contacts;
+    }
 }
 
 /// Finds and gives back regions; keeps its memory.
@@ -42,7 +44,7 @@ struct Run {
 pub(crate) struct KeptRegions {
     /// What became of each pixel of the ROI.
     fates: Vec<u8>,
-    runs: Vec<Run>,
+    runs: Runs<Counts>,
 }
 
 /// The filter has kept the disparity, or the pixel had none that both views agree on.
@@ -73,23 +75,24 @@ impl KeptRegions {
             return 0;
         }
         self.find_runs(input, roi, filtered, params.left_right_px);
-        let min_area = (MIN_SQUARES * (params.scatter_radius_px + EDGE_PX).pow(2)) as u32;
+        let min_area = MIN_SQUARES * (params.scatter_radius_px + EDGE_PX).pow(2);
         let mut confidence = confidence;
         let mut restored = 0;
         for index in 0..self.runs.len() {
-            let Run { row, start, end, .. } = self.runs[index];
-            let root = self.root(index);
-            let root = self.runs[root];
-            let is_object = root.area >= min_area
-                && u64::from(root.area) > u64::from(root.contacts) * edge_px as u64
-                && 2 * root.exposed > root.area;
+            let root = self.runs.root(index);
+            let region = self.runs.get(root);
+            let Counts { exposed, contacts } = region.tally;
+            let is_object = region.area() >= min_area
+                && region.area() > contacts as usize * edge_px
+                && 2 * exposed as usize > region.area();
             if is_object {
-                let (y, columns) = (row as usize, start as usize..end as usize);
+                let run = self.runs.get(index);
+                let (y, columns) = (run.row(), run.columns());
                 filtered.row_mut(y)[columns.clone()].copy_from_slice(&input.disparity.row(y)[columns.clone()]);
                 if let Some(map) = &mut confidence {
-                    map.row_mut(y)[columns].iter_mut().for_each(|value| *value = value.max(KEPT_CONFIDENCE));
+                    map.row_mut(y)[columns.clone()].iter_mut().for_each(|value| *value = value.max(KEPT_CONFIDENCE));
                 }
-                restored += (end - start) as usize;
+                restored += columns.len();
             }
         }
         restored
@@ -143,9 +146,8 @@ impl KeptRegions {
     fn find_runs(&mut self, input: &FilterInput<'_>, roi: Rect, filtered: &ViewMut<'_, f32>, limit_px: f32) {
         self.runs.clear();
         let out = filtered.as_view();
-        let mut above = 0..0;
         for row in 0..roi.height {
-            let (first, y) = (self.runs.len(), roi.y + row);
+            let y = roi.y + row;
             let fates = &self.fates[row * roi.width..(row + 1) * roi.width];
             let here = &input.disparity.row(y)[roi.x..roi.x + roi.width];
             let mut x = 0;
@@ -172,57 +174,13 @@ impl KeptRegions {
                 if row + 1 < roi.height {
                     contacts += count(&|x| is_kept(here[x], x, row + 1));
                 }
-                self.runs.push(Run {
-                    row: y as u32,
-                    start: (roi.x + start) as u32,
-                    end: (roi.x + x) as u32,
-                    parent: self.runs.len() as u32,
-                    area: (x - start) as u32,
-                    exposed: count(&|x| fates[x] == MOVED_EXPOSED),
-                    contacts,
-                });
+                let exposed = count(&|x| fates[x] == MOVED_EXPOSED);
+                self.runs.push(y, roi.x + start..roi.x + x, Counts { exposed, contacts });
             }
-            if row > 0 {
-                self.join(above, input.disparity.row(y - 1), input.disparity.row(y));
-            }
-            above = first..self.runs.len();
+            // The first row of the ROI has no runs above.
+            let (upper, lower) = (input.disparity.row(y.saturating_sub(1)), input.disparity.row(y));
+            self.runs.end_row(|shared| is_near(&upper[shared.clone()], &lower[shared], MAX_STEP_PX));
         }
-    }
-
-    /// Joins the runs of two rows that touch: those `above`, and those behind them.
-    fn join(&mut self, above: std::ops::Range<usize>, upper: &[f32], lower: &[f32]) {
-        let (mut a, mut b) = (above.start, above.end);
-        while a < above.end && b < self.runs.len() {
-            let (over, under) = (self.runs[a], self.runs[b]);
-            let shared = over.start.max(under.start) as usize..over.end.min(under.end) as usize;
-            let touches = !shared.is_empty()
-                && upper[shared.clone()].iter().zip(&lower[shared]).any(|(a, b)| (a - b).abs() <= MAX_STEP_PX);
-            if touches {
-                let (a, b) = (self.root(a), self.root(b));
-                if a != b {
-                    let Run { area, exposed, contacts, .. } = self.runs[b];
-                    self.runs[b].parent = a as u32;
-                    let run = &mut self.runs[a];
-                    (run.area, run.exposed, run.contacts) =
-                        (run.area + area, run.exposed + exposed, run.contacts + contacts);
-                }
-            }
-            if over.end <= under.end {
-                a += 1;
-            } else {
-                b += 1;
-            }
-        }
-    }
-
-    /// The root of a run's region. Shortens the way there.
-    fn root(&mut self, mut index: usize) -> usize {
-        while self.runs[index].parent as usize != index {
-            let next = self.runs[self.runs[index].parent as usize].parent;
-            self.runs[index].parent = next;
-            index = next as usize;
-        }
-        index
     }
 }
 

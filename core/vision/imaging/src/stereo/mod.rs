@@ -32,6 +32,7 @@ pub mod rectify;
 pub mod remap;
 pub mod reproject;
 pub mod rotation;
+mod runs;
 mod scratch;
 pub mod search;
 pub mod semi_global;

@@ -62,6 +62,55 @@ impl Default for RectifyParams {
 /// Smallest and largest coordinates: x0, y0, x1, y1.
 type Bounds = [f64; 4];
 
+/// Rotations of the left and the right camera that make their rows parallel to the baseline.
+///
+/// # Errors
+/// As [`Rectification::new`].
+fn rotations(cameras: &StereoCameras) -> Result<[Matrix3; 2], StereoError> {
+    let refuse = |reason: String| Err(StereoError::Calibration { reason });
+    let square = product(&cameras.rotation, &transposed(&cameras.rotation));
+    let apart = (0..9).map(|i| (square[i / 3][i % 3] - IDENTITY[i / 3][i % 3]).abs()).fold(0.0, f64::max);
+    // Written so that NaN fails too.
+    if !(apart < 1e-3 && determinant(&cameras.rotation) > 0.0) {
+        return refuse("the rotation between the cameras is not a rotation matrix".into());
+    }
+    let t = cameras.translation_mm;
+    let distance = norm(t);
+    if !(distance.is_finite() && distance > 1e-9) {
+        return refuse(format!("the baseline is {distance} mm"));
+    }
+    let half = rotation_of(scaled(vector_of(&cameras.rotation), -0.5));
+    let turned = apply(&half, t);
+    if turned[0].abs() <= turned[1].abs() {
+        return refuse("the cameras stand above one another, not side by side".into());
+    }
+    if turned[0] > 0.0 {
+        return refuse("left and right are swapped: the left camera stands to the right of the right one, disparities would be negative".into());
+    }
+    let axis = cross(turned, [-1.0, 0.0, 0.0]);
+    let length = norm(axis);
+    let align = if length > 0.0 {
+        rotation_of(scaled(axis, (turned[0].abs() / distance).min(1.0).acos() / length))
+    } else {
+        IDENTITY
+    };
+    Ok([product(&align, &transposed(&half)), product(&align, &half)])
+}
+
+/// The principal point that puts the middle of a rectified view of this focal length into its centre.
+fn centre(camera: &CameraModel, rotation: &Matrix3, focal: f64) -> (f64, f64) {
+    let (last_x, last_y) = ((camera.width - 1) as f64, (camera.height - 1) as f64);
+    // The corners of a fisheye are so far from the axis that a small shift of its centre moves them much; OpenCV takes the middles too.
+    let (middle_x, middle_y) = (last_x / 2.0, last_y / 2.0);
+    let places = match camera.lens {
+        Lens::Polynomial(_) => [(0.0, 0.0), (last_x, 0.0), (last_x, last_y), (0.0, last_y)],
+        Lens::Equidistant(_) => [(middle_x, 0.0), (last_x, middle_y), (middle_x, last_y), (0.0, middle_y)],
+    };
+    let points = places.map(|(u, v)| turn(camera, rotation, u, v));
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / 4.0;
+    (last_x / 2.0 - focal * mean(|p| p.0), last_y / 2.0 - focal * mean(|p| p.1))
+}
+
 impl Rectification {
     /// Rectifies `cameras` onto views of the left camera's size.
     ///
@@ -79,51 +128,12 @@ impl Rectification {
                 cameras.right.width, cameras.right.height
             ));
         }
-        let square = product(&cameras.rotation, &transposed(&cameras.rotation));
-        let apart = (0..9).map(|i| (square[i / 3][i % 3] - IDENTITY[i / 3][i % 3]).abs()).fold(0.0, f64::max);
-        // Written so that NaN fails too.
-        if !(apart < 1e-3 && determinant(&cameras.rotation) > 0.0) {
-            return refuse("the rotation between the cameras is not a rotation matrix".into());
-        }
-        let t = cameras.translation_mm;
-        let distance = norm(t);
-        if !(distance.is_finite() && distance > 1e-9) {
-            return refuse(format!("the baseline is {distance} mm"));
-        }
-
-        let half = rotation_of(scaled(vector_of(&cameras.rotation), -0.5));
-        let turned = apply(&half, t);
-        if turned[0].abs() <= turned[1].abs() {
-            return refuse("the cameras stand above one another, not side by side".into());
-        }
-        if turned[0] > 0.0 {
-            return refuse("left and right are swapped: the left camera stands to the right of the right one, disparities would be negative".into());
-        }
-        let axis = cross(turned, [-1.0, 0.0, 0.0]);
-        let length = norm(axis);
-        let align = if length > 0.0 {
-            rotation_of(scaled(axis, (turned[0].abs() / distance).min(1.0).acos() / length))
-        } else {
-            IDENTITY
-        };
-        let rotation_left = product(&align, &transposed(&half));
-        let rotation_right = product(&align, &half);
-        let baseline_mm = -apply(&rotation_right, t)[0];
+        let [rotation_left, rotation_right] = rotations(cameras)?;
+        let baseline_mm = -apply(&rotation_right, cameras.translation_mm)[0];
 
         let views = [(&cameras.left, &rotation_left), (&cameras.right, &rotation_right)];
         let focal = (cameras.left.fy + cameras.right.fy) / 2.0;
-        let (last_x, last_y) = ((width - 1) as f64, (height - 1) as f64);
-        let mut centres = views.map(|(camera, rotation)| {
-            // The corners of a fisheye are so far from the axis that a small shift of its centre moves them much; OpenCV takes the middles too.
-            let (middle_x, middle_y) = (last_x / 2.0, last_y / 2.0);
-            let places = match camera.lens {
-                Lens::Polynomial(_) => [(0.0, 0.0), (last_x, 0.0), (last_x, last_y), (0.0, last_y)],
-                Lens::Equidistant(_) => [(middle_x, 0.0), (last_x, middle_y), (middle_x, last_y), (0.0, middle_y)],
-            };
-            let points = places.map(|(u, v)| turn(camera, rotation, u, v));
-            let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / 4.0;
-            (last_x / 2.0 - focal * mean(|p| p.0), last_y / 2.0 - focal * mean(|p| p.1))
-        });
+        let mut centres = views.map(|(camera, rotation)| centre(camera, rotation, focal));
         let cy = (centres[0].1 + centres[1].1) / 2.0;
         if params.zero_disparity {
             let cx = (centres[0].0 + centres[1].0) / 2.0;

@@ -2,7 +2,10 @@
 //!
 //! A hole is filled when what is around it is one surface, close to a plane of disparity. Steps of depth stay open.
 
+use std::ops::Range;
+
 use crate::View;
+use crate::stereo::runs::{Runs, Tally};
 
 /// Largest distance of the pixels around a hole from their plane, px of disparity in a view of [`USUAL_WIDTH`].
 const MAX_DEVIATION_PX: f32 = 1.0;
@@ -16,18 +19,14 @@ const MAX_SAMPLES: usize = 32;
 /// Pixels of a row that are looked at together.
 const GRAIN_PX: usize = 32;
 
-/// Unknown pixels next to each other in a row, and the piece to which they belong.
-#[derive(Clone, Copy)]
-struct Run {
-    row: usize,
-    from: usize,
-    to: usize,
-    /// Index of a run of the same piece; its own at the piece's root, where the next two fields are kept.
-    parent: usize,
-    /// Number of pixels.
-    area: usize,
-    /// Whether the piece reaches the edge of the map: then it is no hole.
-    is_open: bool,
+/// Whether a piece of unknown pixels reaches the edge of the map: then it is no hole.
+#[derive(Clone, Copy, Default)]
+struct IsOpen(bool);
+
+impl Tally for IsOpen {
+    fn add(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
 }
 
 /// A value that is linear in column and row.
@@ -72,7 +71,7 @@ struct Sample {
 /// Fills small holes; keeps its memory.
 #[derive(Default)]
 pub struct SmallHoles {
-    runs: Vec<Run>,
+    runs: Runs<IsOpen>,
     /// Root and index of the runs of small pieces, by root.
     pieces: Vec<(usize, usize)>,
     around: Vec<usize>,
@@ -96,10 +95,12 @@ impl SmallHoles {
         self.find_pieces(depth, HELD * max_share * pixels as f32);
         let pieces = std::mem::take(&mut self.pieces);
         for piece in pieces.chunk_by(|(a, _), (b, _)| a == b) {
-            let (area, runs) = (self.runs[piece[0].0].area, piece.iter().map(|(_, run)| self.runs[*run]));
-            let held: usize = runs
-                .map(|run| {
-                    self.was_filled[run.row * depth.width..][run.from..run.to].iter().filter(|was| **was).count()
+            let area = self.runs.get(piece[0].0).area();
+            let held: usize = piece
+                .iter()
+                .map(|(_, index)| {
+                    let run = self.runs.get(*index);
+                    self.was_filled[run.row() * depth.width..][run.columns()].iter().filter(|was| **was).count()
                 })
                 .sum();
             let factor = if 2 * held > area { HELD } else { 1.0 };
@@ -114,53 +115,25 @@ impl SmallHoles {
 
     /// Finds the pieces of unknown pixels of at most `max_area` that do not reach the edge.
     fn find_pieces(&mut self, depth: View<'_, f32>, max_area: f32) {
-        self.runs.clear();
-        let mut above = 0..0;
+        let runs = &mut self.runs;
+        runs.clear();
         for row in 0..depth.height {
-            let first = self.runs.len();
             let is_rim = row == 0 || row + 1 == depth.height;
-            unknown(depth.row(row), |from, to| {
-                let is_open = is_rim || from == 0 || to == depth.width;
-                let parent = self.runs.len();
-                self.runs.push(Run { row, from, to, parent, area: to - from, is_open });
+            unknown(depth.row(row), |columns| {
+                let is_open = is_rim || columns.start == 0 || columns.end == depth.width;
+                runs.push(row, columns, IsOpen(is_open));
             });
-            let (mut upper, mut lower) = (above.start, first);
-            while upper < above.end && lower < self.runs.len() {
-                let (a, b) = (self.runs[upper], self.runs[lower]);
-                if a.from < b.to && b.from < a.to {
-                    self.join(upper, lower);
-                }
-                if a.to <= b.to { upper += 1 } else { lower += 1 }
-            }
-            above = first..self.runs.len();
+            runs.end_row(|_| true);
         }
         self.pieces.clear();
-        for run in 0..self.runs.len() {
-            let root = self.root(run);
-            if !self.runs[root].is_open && self.runs[root].area as f32 <= max_area {
+        for run in 0..runs.len() {
+            let root = runs.root(run);
+            let piece = runs.get(root);
+            if !piece.tally.0 && piece.area() as f32 <= max_area {
                 self.pieces.push((root, run));
             }
         }
         self.pieces.sort_unstable();
-    }
-
-    fn root(&mut self, mut run: usize) -> usize {
-        while self.runs[run].parent != run {
-            let above = self.runs[self.runs[run].parent].parent;
-            self.runs[run].parent = above;
-            run = above;
-        }
-        run
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        if a != b {
-            let Run { area, is_open, .. } = self.runs[b];
-            self.runs[b].parent = a;
-            self.runs[a].area += area;
-            self.runs[a].is_open |= is_open;
-        }
     }
 
     /// Fills one hole if one surface is around it. `scale` is disparity by depth, px mm.
@@ -168,11 +141,12 @@ impl SmallHoles {
         let width = depth.width;
         self.around.clear();
         for (_, run) in piece {
-            let Run { row, from, to, .. } = self.runs[*run];
-            self.around.extend([row * width + from - 1, row * width + to]);
+            let run = self.runs.get(*run);
+            let (row, columns) = (run.row(), run.columns());
+            self.around.extend([row * width + columns.start - 1, row * width + columns.end]);
             for row in [row - 1, row + 1] {
-                let beside = depth.row(row)[from..to].iter().enumerate();
-                self.around.extend(beside.filter(|(_, z)| !z.is_nan()).map(|(x, _)| row * width + from + x));
+                let beside = columns.clone().zip(&depth.row(row)[columns.clone()]);
+                self.around.extend(beside.filter(|(_, z)| !z.is_nan()).map(|(x, _)| row * width + x));
             }
         }
         self.around.sort_unstable();
@@ -192,8 +166,9 @@ impl SmallHoles {
         }
         let step = self.samples.len().div_ceil(MAX_SAMPLES);
         for (_, run) in piece {
-            let Run { row, from, to, .. } = self.runs[*run];
-            for x in from..to {
+            let run = self.runs.get(*run);
+            let row = run.row();
+            for x in run.columns() {
                 let here = [x as f32, row as f32];
                 // The plane, and what the pixels around deviate from it, the nearer the more.
                 let (mut total, mut off) = (0.0, 0.0);
@@ -211,8 +186,8 @@ impl SmallHoles {
     }
 }
 
-/// Calls `add` with the first column and the one behind the last of each run of unknown pixels in a row.
-fn unknown(row: &[f32], mut add: impl FnMut(usize, usize)) {
+/// Calls `add` with the columns of each run of unknown pixels in a row.
+fn unknown(row: &[f32], mut add: impl FnMut(Range<usize>)) {
     let mut open = None;
     for (k, grain) in row.chunks(GRAIN_PX).enumerate() {
         let count = grain.iter().map(|z| usize::from(z.is_nan())).sum::<usize>();
@@ -224,7 +199,7 @@ fn unknown(row: &[f32], mut add: impl FnMut(usize, usize)) {
             match (open, z.is_nan()) {
                 (None, true) => open = Some(k * GRAIN_PX + x),
                 (Some(from), false) => {
-                    add(from, k * GRAIN_PX + x);
+                    add(from..k * GRAIN_PX + x);
                     open = None;
                 }
                 _ => {}
@@ -232,7 +207,7 @@ fn unknown(row: &[f32], mut add: impl FnMut(usize, usize)) {
         }
     }
     if let Some(from) = open {
-        add(from, row.len());
+        add(from..row.len());
     }
 }
 

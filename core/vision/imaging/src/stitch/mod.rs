@@ -5,6 +5,7 @@
 //! overlap and held from frame to frame, and the images are blended in a zone around the seam only.
 
 mod blend;
+mod blend_rows;
 mod border;
 mod canvas;
 mod coarse;

@@ -1,5 +1,7 @@
 //! The seam between the images joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
 
+use std::ops::RangeInclusive;
+
 use super::graph_cut::GridCut;
 use super::mesh::{Keep, Kept, Mesh};
 use super::params::{Canvas, CompositeParams, SeamCost, SeamMethod};
@@ -86,6 +88,20 @@ pub struct Seam {
     arrivals: Vec<(f32, u32)>,
     /// Per row of cells: first column, one past the last column and one past the last row of the label changes.
     changes: Vec<(usize, usize, usize)>,
+}
+
+/// How a seam crosses the overlap: lines are rows if the views are side by side, else columns.
+struct Lines {
+    upright: bool,
+    columns: usize,
+    /// Cells of a line.
+    cells: usize,
+}
+
+impl Lines {
+    fn index(&self, line: usize, cell: usize) -> usize {
+        if self.upright { line * self.columns + cell } else { cell * self.columns + line }
+    }
 }
 
 impl Seam {
@@ -351,43 +367,85 @@ impl Seam {
         }
     }
 
+    /// Mean cell of those that only the base and only the new view covers; `None` where there are none.
+    fn centres(&self) -> [Option<(f64, f64)>; 2] {
+        let mut sums = [[0.0f64; 3]; 2];
+        for (index, class) in self.class.iter().enumerate() {
+            let side = match *class {
+                BASE => 0,
+                NEW => 1,
+                _ => continue,
+            };
+            let at = [(index % self.columns) as f64, (index / self.columns) as f64, 1.0];
+            sums[side].iter_mut().zip(at).for_each(|(sum, value)| *sum += value);
+        }
+        sums.map(|[x, y, count]| (count > 0.0).then_some((x / count, y / count)))
+    }
+
+    /// Finds the cheapest way to each crossing of a line from the crossings `reached` of the line above it.
+    fn arrive(
+        &mut self,
+        lines: &Lines,
+        [above, line]: [usize; 2],
+        (from, to): (usize, usize),
+        (low, high): (usize, usize),
+    ) {
+        let stride = lines.cells + 1;
+        // Moving sideways parts each cell passed from the one above it.
+        let step = |c: usize| {
+            let here = self.weight[lines.index(line, c)];
+            let there = if c >= from && c < to { self.weight[lines.index(above, c)] } else { here };
+            here + there + LENGTH_LEVELS
+        };
+        let start = |p: usize| if (from..=to).contains(&p) { self.path_cost[above * stride + p] } else { f32::MAX };
+        // From the crossings at `x` and to the right of it.
+        let mut best = (f32::MAX, from as u32);
+        for x in (low..=high.max(to)).rev() {
+            let (straight, along) = (start(x), best.0 + if x < lines.cells { step(x) } else { 0.0 });
+            best = if straight <= along { (straight, x as u32) } else { (along, best.1) };
+            if x <= high {
+                self.arrivals[x - low] = best;
+            }
+        }
+        // And from those to the left of it.
+        best = (f32::MAX, from as u32);
+        for x in low.min(from) + 1..=high {
+            let before = start(x - 1);
+            best = if before <= best.0 { (before, x as u32 - 1) } else { best };
+            best.0 += step(x - 1);
+            if x >= low && best.0 < self.arrivals[x - low].0 {
+                self.arrivals[x - low] = best;
+            }
+        }
+    }
+
     /// One crossing per line of the overlap; lines are rows if the views are side by side, else columns.
     fn shortest_path(&mut self, hold: f32) {
         let (w, h) = (self.columns, self.rows);
-        let mut centre = [[0.0f64; 3]; 2];
-        for y in 0..h {
-            for x in 0..w {
-                let side = match self.class[y * w + x] {
-                    BASE => 0,
-                    NEW => 1,
-                    _ => continue,
-                };
-                for (c, v) in centre[side].iter_mut().zip([x as f64, y as f64, 1.0]) {
-                    *c += v;
-                }
+        let [a, b] = match self.centres() {
+            [Some(base), Some(new)] => [base, new],
+            [base, _] => {
+                // One picture covers the other: a seam gains nothing.
+                let inside = u8::from(base.is_none());
+                self.take.iter_mut().zip(&self.class).filter(|(_, c)| **c == BOTH).for_each(|(t, _)| *t = inside);
+                return;
             }
-        }
-        if centre[1][2] == 0.0 || centre[0][2] == 0.0 {
-            // One picture covers the other: a seam gains nothing.
-            let inside = u8::from(centre[0][2] == 0.0);
-            self.take.iter_mut().zip(&self.class).filter(|(_, c)| **c == BOTH).for_each(|(t, _)| *t = inside);
-            return;
-        }
-        let [a, b] = centre.map(|[x, y, n]| (x / n, y / n));
+        };
         let upright = (b.0 - a.0).abs() >= (b.1 - a.1).abs();
         let new_last = if upright { b.0 >= a.0 } else { b.1 >= a.1 };
-        let (lines, cells) = if upright { (h, w) } else { (w, h) };
-        let index = |line: usize, cell: usize| if upright { line * w + cell } else { cell * w + line };
+        let (count, cells) = if upright { (h, w) } else { (w, h) };
+        let lines = Lines { upright, columns: w, cells };
+        let index = |line: usize, cell: usize| lines.index(line, cell);
         let stride = cells + 1;
-        self.path_cost.resize(lines * stride, 0.0);
-        self.path_from.resize(lines * stride, 0);
-        self.path.resize(lines, 0);
+        self.path_cost.resize(count * stride, 0.0);
+        self.path_from.resize(count * stride, 0);
+        self.path.resize(count, 0);
         let range = |class: &[u8], line: usize| {
             let both = |c: &usize| class[index(line, *c)] == BOTH;
             Some(((0..cells).find(both)?, (0..cells).rev().find(both)? + 1))
         };
         let (mut first, mut last): (Option<usize>, Option<usize>) = (None, None);
-        for line in 0..lines {
+        for line in 0..count {
             let Some((low, high)) = range(&self.class, line) else {
                 if first.is_some() {
                     break;
@@ -396,6 +454,11 @@ impl Seam {
             };
             let above = last.and_then(|l| range(&self.class, l).map(|r| (l, r)));
             first = first.or(Some(line));
+            self.arrivals.clear();
+            self.arrivals.resize(high + 1 - low, (0.0, 0));
+            if let Some((above, reached)) = above {
+                self.arrive(&lines, [above, line], reached, (low, high));
+            }
             // Levels of the cells that show the wrong view when all lie behind the crossing; then one after the other lies before it.
             let (kept, class) = (&self.kept, &self.class);
             let is_wrong = |c: usize, is_behind: bool| {
@@ -406,36 +469,6 @@ impl Seam {
             // Cells that change their view when all lie behind the crossing; then one after the other lies before it.
             let takes = |c: usize| self.take[index(line, c)] == 1;
             let mut changed = (low..high).filter(|c| takes(*c) != new_last).count();
-            self.arrivals.clear();
-            self.arrivals.resize(high + 1 - low, (0.0, 0));
-            if let Some((l, (from, to))) = above {
-                // Moving sideways parts each cell passed from the one above it.
-                let step = |c: usize| {
-                    let here = self.weight[index(line, c)];
-                    let there = if c >= from && c < to { self.weight[index(l, c)] } else { here };
-                    here + there + LENGTH_LEVELS
-                };
-                let start = |p: usize| if (from..=to).contains(&p) { self.path_cost[l * stride + p] } else { f32::MAX };
-                // From the crossings at `x` and to the right of it.
-                let mut best = (f32::MAX, from as u32);
-                for x in (low..=high.max(to)).rev() {
-                    let (straight, along) = (start(x), best.0 + if x < cells { step(x) } else { 0.0 });
-                    best = if straight <= along { (straight, x as u32) } else { (along, best.1) };
-                    if x <= high {
-                        self.arrivals[x - low] = best;
-                    }
-                }
-                // And from those to the left of it.
-                best = (f32::MAX, from as u32);
-                for x in low.min(from) + 1..=high {
-                    let before = start(x - 1);
-                    best = if before <= best.0 { (before, x as u32 - 1) } else { best };
-                    best.0 += step(x - 1);
-                    if x >= low && best.0 < self.arrivals[x - low].0 {
-                        self.arrivals[x - low] = best;
-                    }
-                }
-            }
             for x in low..=high {
                 if x > low {
                     changed = if takes(x - 1) == new_last { changed + 1 } else { changed - 1 };
@@ -456,18 +489,32 @@ impl Seam {
             last = Some(line);
         }
         let (Some(first), Some(last)) = (first, last) else { return };
-        let Some((low, high)) = range(&self.class, last) else { return };
-        let mut at = (low..=high).fold(low, |b, x| {
-            if self.path_cost[last * stride + x] < self.path_cost[last * stride + b] { x } else { b }
-        });
-        for line in (first..=last).rev() {
+        if let Some(ends) = range(&self.class, last) {
+            self.trace_back(&lines, first..=last, ends, new_last);
+        }
+    }
+
+    /// Cuts the overlap along the cheapest path, from its crossing of the last line, which is inside `ends`, back to the first one.
+    fn trace_back(
+        &mut self,
+        lines: &Lines,
+        crossed: RangeInclusive<usize>,
+        (low, high): (usize, usize),
+        new_last: bool,
+    ) {
+        let stride = lines.cells + 1;
+        let last = *crossed.end() * stride;
+        let mut at =
+            (low..=high).fold(low, |b, x| if self.path_cost[last + x] < self.path_cost[last + b] { x } else { b });
+        for line in crossed.clone().rev() {
             self.path[line] = at as u32;
             at = self.path_from[line * stride + at] as usize;
         }
-        for line in first..=last {
-            for cell in 0..cells {
-                if self.class[index(line, cell)] == BOTH {
-                    self.take[index(line, cell)] = u8::from((cell >= self.path[line] as usize) == new_last);
+        for line in crossed {
+            for cell in 0..lines.cells {
+                let index = lines.index(line, cell);
+                if self.class[index] == BOTH {
+                    self.take[index] = u8::from((cell >= self.path[line] as usize) == new_last);
                 }
             }
         }

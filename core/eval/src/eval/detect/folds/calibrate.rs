@@ -116,6 +116,25 @@ pub struct Wanted<'a> {
     pub file: Option<&'a Path>,
 }
 
+fn percent(share: f64) -> String {
+    if share.is_nan() { "-".to_owned() } else { format!("{:.1}", 100.0 * share) }
+}
+
+/// The boxes of all folds, each with the probabilities of its class and of any class by the curves of the other folds; of a single fold by `own`.
+/// Images are numbered on from fold to fold.
+fn corrected(folds: &[&[Sample]], own: (Curve, Option<Curve>)) -> Vec<(Sample, f64, f64)> {
+    let mut corrected: Vec<(Sample, f64, f64)> = Vec::new();
+    for (index, fold) in folds.iter().enumerate() {
+        let others = folds.iter().enumerate().filter(|(k, _)| *k != index).flat_map(|(_, fold)| fold.iter());
+        let (score, objectness) = if folds.len() > 1 { fit(others) } else { own };
+        let any = |s: &Sample| objectness.map_or(f64::NAN, |c| c.probability(s.objectness));
+        let first = corrected.last().map_or(0, |(s, ..)| s.picture + 1);
+        let on = |s: &Sample| Sample { picture: first + s.picture, ..*s };
+        corrected.extend(fold.iter().map(|s| (on(s), score.probability(s.score), any(s))));
+    }
+    corrected
+}
+
 /// Reports the calibration of folds. Each fold is corrected by the curve of the others, so that the corrected error is
 /// measured on unseen operations; a single fold is corrected by its own curve, which is reported.
 ///
@@ -124,39 +143,22 @@ pub struct Wanted<'a> {
 pub fn report(session: &dyn Session, folds: &[&[Sample]], wanted: &Wanted<'_>) -> Result<Vec<Figure>> {
     let all = || folds.iter().flat_map(|fold| fold.iter());
     let (score, objectness) = fit(all());
-    // Each box with the probability of its class and of any.
-    let mut corrected: Vec<(Sample, f64, f64)> = Vec::new();
-    for (index, fold) in folds.iter().enumerate() {
-        let others = folds.iter().enumerate().filter(|(k, _)| *k != index).flat_map(|(_, fold)| fold.iter());
-        let (score, objectness) = if folds.len() > 1 { fit(others) } else { (score, objectness) };
-        let any = |s: &Sample| objectness.map_or(f64::NAN, |c| c.probability(s.objectness));
-        // Pictures are counted on from fold to fold.
-        let first = corrected.last().map_or(0, |(s, ..)| s.picture + 1);
-        let on = |s: &Sample| Sample { picture: first + s.picture, ..*s };
-        corrected.extend(fold.iter().map(|s| (on(s), score.probability(s.score), any(s))));
-    }
+    let corrected = corrected(folds, (score, objectness));
     let judged: Vec<&(Sample, f64, f64)> = corrected.iter().filter(|(s, ..)| s.score >= FLOOR).collect();
-    let before = |class: Option<usize>| {
-        let chosen = judged.iter().filter(move |(s, ..)| class.is_none_or(|c| s.class == c));
-        chosen.map(|(s, ..)| s.named())
+    let of = |class: Option<usize>| judged.iter().filter(move |(s, ..)| class.is_none_or(|c| s.class == c));
+    let before = |class: Option<usize>| of(class).map(|(s, ..)| s.named());
+    let after = |class: Option<usize>| of(class).map(|(s, p, _)| Outcome { score: *p, ..s.named() });
+    let limit = |class: usize| {
+        let own: Vec<Outcome> = all().filter(|s| s.class == class).map(|s| score.of(s.named())).collect();
+        limit_for(&own, wanted.precision)
     };
-    let after = |class: Option<usize>| {
-        let chosen = judged.iter().filter(move |(s, ..)| class.is_none_or(|c| s.class == c));
-        chosen.map(|(s, p, _)| Outcome { score: *p, ..s.named() })
-    };
-    let limits: Vec<f64> = (0..wanted.classes.len())
-        .map(|class| {
-            let own: Vec<Outcome> = all().filter(|s| s.class == class).map(|s| score.of(s.named())).collect();
-            limit_for(&own, wanted.precision)
-        })
-        .collect();
+    let limits: Vec<f64> = (0..wanted.classes.len()).map(limit).collect();
     let mut figures = Vec::new();
     let mut figure = |name: String, value: f64| {
         if !value.is_nan() {
             figures.push(Figure::new(&name, value, "1", wanted.input));
         }
     };
-    let percent = |v: f64| if v.is_nan() { "-".to_owned() } else { format!("{:.1}", 100.0 * v) };
     let head = format!("limit for {:.0} % right", 100.0 * wanted.precision);
     let mut rows =
         vec![["class", "boxes", "right, %", "error, %", "error calibrated, %", &head].map(str::to_owned).to_vec()];
@@ -208,21 +210,33 @@ pub fn report(session: &dyn Session, folds: &[&[Sample]], wanted: &Wanted<'_>) -
         picture::reliability(&folder.join("reliability.png"), wanted.input, &all)?;
     }
     if let Some(path) = wanted.file {
-        let curve = |c: Curve| json!({"temperature": c.temperature, "bias": c.bias});
-        let value = json!({
-            "format": FORMAT,
-            "source": wanted.input,
-            "classes": wanted.classes,
-            "score": curve(score),
-            "objectness": objectness.map(curve),
-            "precision": wanted.precision,
-            "limits": limits,
-            "error": {"before": expected_error(before(None)), "after": expected_error(after(None))},
-        });
-        std::fs::write(path, format!("{value:#}\n")).on_file(FileAction::Write, path)?;
+        let errors = (expected_error(before(None)), expected_error(after(None)));
+        write_file(path, wanted, (score, objectness), &limits, errors)?;
         note!(session, "{}: calibration for export_detector.py --calibration", path.display());
     }
     Ok(figures)
+}
+
+/// Writes what the export of a model reads: the curves, the limits of the classes, and the error before and after the correction.
+fn write_file(
+    path: &Path,
+    wanted: &Wanted<'_>,
+    (score, objectness): (Curve, Option<Curve>),
+    limits: &[f64],
+    (before, after): (f64, f64),
+) -> Result<()> {
+    let curve = |c: Curve| json!({"temperature": c.temperature, "bias": c.bias});
+    let value = json!({
+        "format": FORMAT,
+        "source": wanted.input,
+        "classes": wanted.classes,
+        "score": curve(score),
+        "objectness": objectness.map(curve),
+        "precision": wanted.precision,
+        "limits": limits,
+        "error": {"before": before, "after": after},
+    });
+    std::fs::write(path, format!("{value:#}\n")).on_file(FileAction::Write, path)
 }
 
 /// Intersection over union of two boxes (left, top, width, height).

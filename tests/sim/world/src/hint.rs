@@ -1,6 +1,0 @@
-//! As `std::hint`.
-
-/// Lets another thread run: a spinning thread waits for one.
-pub fn spin_loop() {
-    crate::thread::yield_now();
-}
