@@ -4,11 +4,12 @@
 //! is as narrow as that, such as a wire or the tip of an instrument, nothing of it is left. What both views agree on over an area, with no more of
 //! the same surface beside it than its edge would have, is an object and keeps its disparities.
 
+use crate::simd::dispatch;
 use crate::stereo::confidence::ConfidenceParams;
 use crate::stereo::filter_input::FilterInput;
 use crate::stereo::runs::{Runs, Tally, is_near};
 use crate::stereo::shared_field::is_seen_by_both;
-use crate::{Parallel, Rect, SharedMut, ViewMut};
+use crate::{Parallel, Rect, SharedMut, Simd, ViewMut};
 
 /// Smallest area of a region, in squares of the radius of the scatter and [`EDGE_PX`]: wrong matches are about as large as a matcher's window.
 const MIN_SQUARES: usize = 9;
@@ -44,6 +45,8 @@ impl Tally for Counts {
 pub(crate) struct KeptRegions {
     /// What became of each pixel of the ROI.
     fates: Vec<u8>,
+    /// Whether any of [`GRAIN_PX`] pixels of a row has moved.
+    moved_grains: Vec<bool>,
     runs: Runs<Counts>,
 }
 
@@ -109,8 +112,10 @@ impl KeptRegions {
     ) -> bool {
         self.fates.resize(roi.width * roi.height, STAYS);
         let any = std::sync::atomic::AtomicBool::new(false);
-        let fates = SharedMut::new(&mut self.fates);
-        let out = filtered.as_view();
+        let per_row = roi.width.div_ceil(GRAIN_PX);
+        self.moved_grains.resize(roi.height * per_row, false);
+        let (fates, grains) = (SharedMut::new(&mut self.fates), SharedMut::new(&mut self.moved_grains));
+        let (out, simd) = (filtered.as_view(), Simd::detect());
         pool.run(roi.height.div_ceil(ROWS), &|chunk| {
             for row in chunk * ROWS..((chunk + 1) * ROWS).min(roi.height) {
                 // SAFETY: one row, one chunk.
@@ -119,19 +124,15 @@ impl KeptRegions {
                 let y = roi.y + row;
                 let columns = roi.x..roi.x + roi.width;
                 let (here, smooth) = (&input.disparity.row(y)[columns.clone()], &out.row(y)[columns]);
-                for (grain, (d, smooth)) in here.chunks(GRAIN_PX).zip(smooth.chunks(GRAIN_PX)).enumerate() {
-                    // NaN is not near.
-                    let is_moved = |d: f32, smooth: f32| {
-                        let is_near = (d - smooth).abs() <= params.left_right_px;
-                        d.is_finite() & !is_near
-                    };
-                    // All of them, so that the compiler can vectorise the loop.
-                    if !d.iter().zip(smooth).fold(false, |any, (d, smooth)| any | is_moved(*d, *smooth)) {
-                        continue;
-                    }
-                    for (i, (d, smooth)) in d.iter().zip(smooth).enumerate() {
-                        let at = grain * GRAIN_PX + i;
-                        if is_moved(*d, *smooth) && is_agreed(input, params, (roi.x + at, y), *d) {
+                // SAFETY: one row, one chunk.
+                let grains = unsafe { grains.part(row * per_row, per_row) };
+                let limit_px = params.left_right_px;
+                dispatch!(simd, find_moved_grains(here: &[f32], smooth: &[f32], limit_px: f32, grains: &mut [bool]));
+                for grain in (0..per_row).filter(|grain| grains[*grain]) {
+                    let start = grain * GRAIN_PX;
+                    for at in start..(start + GRAIN_PX).min(roi.width) {
+                        let d = here[at];
+                        if is_moved(d, smooth[at], limit_px) && is_agreed(input, params, (roi.x + at, y), d) {
                             fates[at] = if is_exposed(input, params, (roi.x + at, y)) { MOVED_EXPOSED } else { MOVED };
                             any.store(true, std::sync::atomic::Ordering::Relaxed);
                         }
@@ -146,11 +147,14 @@ impl KeptRegions {
     fn find_runs(&mut self, input: &FilterInput<'_>, roi: Rect, filtered: &ViewMut<'_, f32>, limit_px: f32) {
         self.runs.clear();
         let out = filtered.as_view();
+        let per_row = roi.width.div_ceil(GRAIN_PX);
         for row in 0..roi.height {
             let y = roi.y + row;
             let fates = &self.fates[row * roi.width..(row + 1) * roi.width];
             let here = &input.disparity.row(y)[roi.x..roi.x + roi.width];
-            let mut x = 0;
+            let grains = &self.moved_grains[row * per_row..(row + 1) * per_row];
+            // Most rows have none.
+            let mut x = grains.iter().position(|is_moved| *is_moved).map_or(roi.width, |grain| grain * GRAIN_PX);
             while let Some(skip) = fates[x..].iter().position(|fate| *fate != STAYS) {
                 let start = x + skip;
                 x = start + 1;
@@ -181,6 +185,22 @@ impl KeptRegions {
             let (upper, lower) = (input.disparity.row(y.saturating_sub(1)), input.disparity.row(y));
             self.runs.end_row(|shared| is_near(&upper[shared.clone()], &lower[shared], MAX_STEP_PX));
         }
+    }
+}
+
+/// Whether a filter has moved or removed a known disparity; NaN is not near.
+#[inline(always)]
+fn is_moved(d: f32, smooth: f32, limit_px: f32) -> bool {
+    let is_near = (d - smooth).abs() <= limit_px;
+    d.is_finite() & !is_near
+}
+
+/// Marks the grains of a row in which a disparity has moved.
+#[inline(always)]
+fn find_moved_grains(here: &[f32], smooth: &[f32], limit_px: f32, grains: &mut [bool]) {
+    for ((d, smooth), grain) in here.chunks(GRAIN_PX).zip(smooth.chunks(GRAIN_PX)).zip(grains) {
+        // All of them, so that the compiler can vectorise the loop.
+        *grain = d.iter().zip(smooth).fold(false, |any, (d, smooth)| any | is_moved(*d, *smooth, limit_px));
     }
 }
 
