@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use arc_swap::{ArcSwap, Cache};
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
@@ -15,6 +16,8 @@ use crate::memory::FrameRef;
 use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::own_thread::OwnThread;
+use crate::plan::{Link, Plan};
+use crate::pool::{self, Urgency};
 use crate::region::Region;
 use crate::schedule::{Ready, Shared};
 use crate::scratch::Scratch;
@@ -39,13 +42,22 @@ const MAX_WALK_NS: u64 = 1_000_000;
 const WALK_SHARE: u64 = 8;
 /// As [`MAX_WALK_NS`], for the thread of a node that may block: about the time to wake another thread.
 const SHORT_WALK_NS: u64 = 100_000;
+/// Time that two busy threads spend to hand a tick over. Working at the same time pays only if both have more to do.
+const HAND_OVER_NS: u64 = 1_000;
+/// Ticks for which a source that does not wait for capture times hands over what it makes, once that pays.
+const HANDED_OVER: u32 = 32;
 
 /// State of a source's thread between two ticks.
-#[derive(Default)]
-struct Pace {
+struct Pace<'s> {
     /// Capture and wall time of the first tick.
     first: Option<(i64, u64)>,
     last_capture_ns: Option<i64>,
+    /// The plan, loaded again when it changed.
+    plan: Cache<&'s ArcSwap<Plan>, Arc<Plan>>,
+    /// Ticks to hand over before the source's chain runs on this thread.
+    to_hand_over: u32,
+    /// End of the last call on this thread, if nothing else was done since.
+    end_ns: Option<u64>,
 }
 
 impl Shared {
@@ -112,7 +124,13 @@ impl Shared {
     /// Runs until the node finishes or is removed. Returns whether the watchdog abandoned this thread.
     fn source_thread(&self, node: usize, runtime: &Arc<NodeRuntime>) -> bool {
         let mut scratch = Scratch::default();
-        let mut pace = Pace { last_capture_ns: runtime.ticks.last_capture_ns(), ..Pace::default() };
+        let mut pace = Pace {
+            first: None,
+            last_capture_ns: runtime.ticks.last_capture_ns(),
+            plan: Cache::new(&self.plan),
+            to_hand_over: HANDED_OVER,
+            end_ns: None,
+        };
         let leaves = || runtime.runner.leave.accept();
         if let Some(decider) = self.context.decider.clone() {
             if self.play(&*decider, node, runtime) {
@@ -154,19 +172,43 @@ impl Shared {
         false
     }
 
+    /// Whether sources wait until the capture time of each tick.
+    fn waits_for_capture(&self) -> bool {
+        self.paced && !self.context.batch
+    }
+
     /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns
     /// whether it waited.
-    fn wait_for_room(&self, node: usize, runtime: &NodeRuntime) -> bool {
-        if self.paced && !self.context.batch {
+    fn wait_for_room(&self, node: usize, runtime: &NodeRuntime, pace: &mut Pace<'_>) -> bool {
+        if self.waits_for_capture() {
             return false;
         }
-        let has_room = self.plan.load().region_of(node).has_room();
-        let waits = !has_room || self.readers_lag(node);
+        let plan = pace.plan.load();
+        let region = plan.region_of(node);
+        let has_room = if pace.to_hand_over == 0 { region.is_free() } else { region.has_room() };
+        let waits = !has_room || self.readers_lag(plan, node);
         if waits {
+            pace.end_ns = None;
             // A reader of another region does not wake this thread when it catches up.
             runtime.runner.park_at_most(Some(Duration::from_millis(if has_room { 1 } else { 100 })));
         }
         waits
+    }
+
+    /// Whether the source's thread is to run the chain that is its region. A source that waits for capture times has
+    /// time for a chain that fits into `allowance_ns`. Another one saves the hand-over of ticks, unless both it and its
+    /// chain have so much to do that they should work at the same time.
+    fn runs_chain(&self, runtime: &NodeRuntime, pace: &mut Pace<'_>, node: usize, allowance_ns: u64) -> bool {
+        let plan = pace.plan.load();
+        let is_next = |first: &&Link| plan.wiring[first.node as usize].urgency == Urgency::Urgent || !self.pool.is_pressed();
+        let first = plan.sole_chain(node).filter(|first| runtime.kind != NodeKind::Realtime && is_next(first));
+        let chain_ns = first.map_or(u64::MAX, |first| first.runtime.runner.chain_ns());
+        if self.waits_for_capture() {
+            return chain_ns < allowance_ns;
+        }
+        let hands_over = chain_ns > MAX_WALK_NS || chain_ns.min(runtime.runner.chain_ns()) > HAND_OVER_NS;
+        pace.to_hand_over = if hands_over { HANDED_OVER } else { pace.to_hand_over.saturating_sub(1) };
+        pace.to_hand_over == 0
     }
 
     /// Makes the next tick of a source and delivers it.
@@ -175,20 +217,20 @@ impl Shared {
         node: usize,
         runtime: &Arc<NodeRuntime>,
         seq: u64,
-        pace: &mut Pace,
+        pace: &mut Pace<'_>,
         scratch: &mut Scratch,
     ) -> Step {
-        if self.wait_for_room(node, runtime) {
+        if self.wait_for_room(node, runtime, pace) {
             return Step::Next;
         }
         let capture_ns = pace.last_capture_ns.map_or(0, |last| last.saturating_add(DEFAULT_FRAME_NS));
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
-        if !self.take_source(runtime, tick) {
+        let has_inputs = runtime.declared.inputs_len != 0;
+        if has_inputs && !self.take_source(runtime, tick, &mut scratch.inputs) {
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
-        scratch.inputs.append(&mut lock(&runtime.join).staged);
-        let start_ns = clock::now_ns();
+        let start_ns = pace.end_ns.take().unwrap_or_else(clock::now_ns);
         let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
         let mut ports = Ports { inputs, lone: false, made, sources: self };
         let called = match runtime.call_node(&self.context, &mut tick, true, start_ns, &mut ports) {
@@ -204,6 +246,7 @@ impl Shared {
             return self.after_no_tick(node, runtime, &called, &tick, start_ns);
         }
         let Called { end_ns: mut now_ns, arrived_ns: declared_ns, .. } = called;
+        runtime.runner.record_chain_time(now_ns.saturating_sub(start_ns));
         let made = &mut scratch.made[0];
         if !capture_fits(tick.capture_ns, pace.last_capture_ns) {
             made.clear();
@@ -212,13 +255,15 @@ impl Shared {
             self.wait_for_next_frame(runtime, start_ns);
             return Step::Next;
         }
-        lock(&runtime.join).made_tick();
+        if has_inputs {
+            lock(&runtime.join).made_tick();
+        }
         let mut allowance_ns = 0;
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
             let period_ns = tick.capture_ns.abs_diff(last);
             self.frame_ns.store(period_ns, Ordering::Relaxed);
             // In batch the source makes its next tick at once instead.
-            if self.paced && !self.context.batch {
+            if self.waits_for_capture() {
                 allowance_ns = MAX_WALK_NS.min(period_ns / WALK_SHARE);
             }
         }
@@ -231,14 +276,7 @@ impl Shared {
         if let Some(observer) = &self.context.observer {
             observer.source_tick(&runtime.id, &runtime.output_names, &tick, &made.outputs);
         }
-        let region = Arc::clone(self.plan.load().region_of(node));
-        let mut outputs = region.spare();
-        for output in &mut made.outputs {
-            let raw = std::mem::replace(output, Frame::EMPTY);
-            // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list no longer has after the `replace`.
-            outputs.push(unsafe { FrameRef::adopt(Frame { tick, ..raw }) });
-        }
-        if self.paced && !self.context.batch {
+        if self.waits_for_capture() {
             now_ns = self.wait_until_due(runtime, tick.capture_ns, now_ns, &mut pace.first);
         }
         if declared_ns.is_none() {
@@ -246,7 +284,39 @@ impl Shared {
         }
         runtime.ticks.enter(seq);
         self.meter_allocations(seq + 1);
-        self.admit(node, runtime, &region, outputs, allowance_ns, scratch)
+        let alone = self.runs_chain(runtime, pace, node, allowance_ns) && pace.plan.load().region_of(node).admit_alone(seq);
+        // The wiring of a region that admitted a tick does not change: deliver by this plan.
+        let plan = pace.plan.load();
+        if alone && let Some(first) = plan.sole_chain(node) {
+            let end_ns = self.run_sole_chain(plan, node, first, (tick, now_ns), allowance_ns, scratch);
+            pace.end_ns = end_ns;
+            return if end_ns.is_some() { Step::Next } else { Step::GivenUp };
+        }
+        self.admit(node, runtime, (tick, alone), allowance_ns, scratch)
+    }
+
+    /// Runs the chain that is a source's region, into which the tick in `scratch` was admitted as the only one. Returns
+    /// when the last call ended, `None` if the watchdog abandoned this thread.
+    fn run_sole_chain(
+        &self,
+        plan: &Plan,
+        node: usize,
+        first: &Link,
+        (tick, now_ns): (Tick, u64),
+        allowance_ns: u64,
+        scratch: &mut Scratch,
+    ) -> Option<u64> {
+        if let Some(observer) = &self.context.observer {
+            observer.admitted(&plan.runtimes[node].id);
+        }
+        pool::set_urgency(plan.wiring[first.node as usize].urgency);
+        let mut ready = Ready::default();
+        let end_ns = self.chain(plan, node, tick, now_ns, scratch, &mut ready)?;
+        first.runtime.runner.record_chain_time(end_ns.saturating_sub(now_ns));
+        match ready.dispatch_ready(self, plan, allowance_ns) {
+            Some(next) => self.run(next, scratch, allowance_ns).then(clock::now_ns),
+            None => Some(end_ns),
+        }
     }
 
     /// Handles a call of a source that made no tick because it ended, failed or was skipped.
@@ -278,18 +348,24 @@ impl Shared {
         Step::Next
     }
 
-    /// Admits a tick of a source to its region, now or when there is room, and runs what follows for at most
-    /// `allowance_ns`.
+    /// Admits the tick of a source in `scratch` to its region, if it `is_admitted` not already, now or when there is
+    /// room, and runs what follows for at most `allowance_ns`.
     fn admit(
         &self,
         node: usize,
         runtime: &NodeRuntime,
-        region: &Region,
-        outputs: Vec<FrameRef>,
+        (tick, is_admitted): (Tick, bool),
         allowance_ns: u64,
         scratch: &mut Scratch,
     ) -> Step {
-        let (enter, dropped) = region.admit_or_keep(outputs);
+        let region = &Arc::clone(self.plan.load().region_of(node));
+        let mut outputs = region.spare();
+        for output in &mut scratch.made[0].outputs {
+            let raw = std::mem::replace(output, Frame::EMPTY);
+            // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list no longer has after the `replace`.
+            outputs.push(unsafe { FrameRef::adopt(Frame { tick, ..raw }) });
+        }
+        let (enter, dropped) = if is_admitted { (Some(outputs), None) } else { region.admit_or_keep(outputs) };
         if let Some(old) = dropped {
             if let Some(seq) = old.first().map(|f| f.tick().seq) {
                 self.count_lacking(node, seq);
@@ -364,11 +440,10 @@ impl Shared {
     }
 
     /// Whether a reader of another region is too far behind in batch.
-    pub(crate) fn readers_lag(&self, node: usize) -> bool {
+    pub(crate) fn readers_lag(&self, plan: &Plan, node: usize) -> bool {
         if !self.context.ignores_wall_clock() {
             return false;
         }
-        let plan = self.plan.load();
         let outsiders = &plan.outsiders[plan.wiring[node].region];
         outsiders.iter().any(|&(reader, slot)| lock(&plan.runtimes[reader].join).waiting(slot) > MAX_BEHIND)
     }
