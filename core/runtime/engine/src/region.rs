@@ -378,6 +378,28 @@ mod tests {
         assert!(!region.has_pending());
     }
 
+    /// The thread that admitted a tick alone runs the nodes of the region itself.
+    #[test]
+    fn a_tick_is_admitted_alone_only_into_an_empty_open_region() {
+        let region = Region::new(0, 1, 4);
+        assert!(region.is_free() && region.admit_alone(0));
+        assert_eq!((region.next_seq(), region.in_flight()), (Some(1), 1));
+        assert!(!region.admit_alone(1) && !region.is_free(), "another tick is inside");
+        assert!(matches!(region.leaf_done(0), Freed::Head), "the source waited for the empty region");
+        assert!(matches!(region.admit_or_keep(tick(1)), (Some(_), None)));
+        assert!(region.has_room() && matches!(region.leaf_done(1), Freed::Nothing), "nobody waits");
+        region.pause();
+        assert!(!region.admit_alone(2), "the region pauses");
+        assert!(region.admit_or_keep(tick(2)).0.is_none());
+        assert_eq!(region.resume().iter().map(|l| seq(l)).collect::<Vec<_>>(), [2]);
+        assert!(matches!(region.leaf_done(2), Freed::Nothing));
+        assert!(!region.admit_alone(3), "another thread still delivers what waited");
+        assert!(region.handed_over().is_none() && region.admit_alone(3));
+        assert!(matches!(region.leaf_done(3), Freed::Nothing));
+        assert_eq!(region.pause_before(4, 4), Ok(()));
+        assert!(!region.admit_alone(4), "the pause begins at this tick");
+    }
+
     /// A change names the first tick that meets it, also while that tick is on its way from its source.
     #[test]
     fn the_next_tick_is_the_one_after_the_last_that_came() {

@@ -157,6 +157,7 @@ impl Shared {
 
     /// Finishes a source that has made its last tick. Always returns `false`: the thread was not abandoned.
     fn source_over(&self, node: usize, runtime: &NodeRuntime) -> bool {
+        self.meter_allocations(runtime.ticks.made(), true);
         let region = Arc::clone(self.plan.load().region_of(node));
         while region.has_pending() {
             runtime.runner.park_at_most(Some(Duration::from_millis(1)));
@@ -185,7 +186,12 @@ impl Shared {
         }
         let plan = pace.plan.load();
         let region = plan.region_of(node);
-        let has_room = if pace.to_hand_over == 0 { region.is_free() } else { region.has_room() };
+        let has_room = match pace.to_hand_over {
+            // This thread just left the region empty.
+            0 if pace.end_ns.is_some() => true,
+            0 => region.is_free(),
+            _ => region.has_room(),
+        };
         let waits = !has_room || self.readers_lag(plan, node);
         if waits {
             pace.end_ns = None;
@@ -200,8 +206,11 @@ impl Shared {
     /// chain have so much to do that they should work at the same time.
     fn runs_chain(&self, runtime: &NodeRuntime, pace: &mut Pace<'_>, node: usize, allowance_ns: u64) -> bool {
         let plan = pace.plan.load();
-        let is_next = |first: &&Link| plan.wiring[first.node as usize].urgency == Urgency::Urgent || !self.pool.is_pressed();
-        let first = plan.sole_chain(node).filter(|first| runtime.kind != NodeKind::Realtime && is_next(first));
+        let is_next =
+            |first: &&Link| plan.wiring[first.node as usize].urgency == Urgency::Urgent || !self.pool.is_pressed();
+        // In a loop through a source results may depend on the ticks in flight; a real-time source runs nothing else.
+        let is_plain = runtime.kind != NodeKind::Realtime && runtime.declared.inputs_len == 0;
+        let first = plan.sole_chain(node).filter(|first| is_plain && is_next(first));
         let chain_ns = first.map_or(u64::MAX, |first| first.runtime.runner.chain_ns());
         if self.waits_for_capture() {
             return chain_ns < allowance_ns;
@@ -227,6 +236,7 @@ impl Shared {
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
         let has_inputs = runtime.declared.inputs_len != 0;
         if has_inputs && !self.take_source(runtime, tick, &mut scratch.inputs) {
+            pace.end_ns = None;
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
@@ -283,13 +293,15 @@ impl Shared {
             runtime.ticks.arrive(seq, now_ns as i64);
         }
         runtime.ticks.enter(seq);
-        self.meter_allocations(seq + 1);
-        let alone = self.runs_chain(runtime, pace, node, allowance_ns) && pace.plan.load().region_of(node).admit_alone(seq);
+        self.meter_allocations(seq + 1, false);
+        let alone =
+            self.runs_chain(runtime, pace, node, allowance_ns) && pace.plan.load().region_of(node).admit_alone(seq);
         // The wiring of a region that admitted a tick does not change: deliver by this plan.
         let plan = pace.plan.load();
         if alone && let Some(first) = plan.sole_chain(node) {
             let end_ns = self.run_sole_chain(plan, node, first, (tick, now_ns), allowance_ns, scratch);
-            pace.end_ns = end_ns;
+            // Beyond a sink nothing was delivered, which may take longer than a call.
+            pace.end_ns = end_ns.filter(|_| plan.following(node).last().is_some_and(|link| link.sink));
             return if end_ns.is_some() { Step::Next } else { Step::GivenUp };
         }
         self.admit(node, runtime, (tick, alone), allowance_ns, scratch)

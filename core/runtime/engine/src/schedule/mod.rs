@@ -570,11 +570,12 @@ impl Shared {
         self.stopping.load(Ordering::Acquire)
     }
 
-    pub fn meter_allocations(&self, seq: u64) {
+    /// Counts the heap allocations up to a source's tick `seq`: after the warm-up, every 16 ticks, and at its end.
+    pub fn meter_allocations(&self, seq: u64, is_last: bool) {
         let Some(count) = self.allocations.count else { return };
         if seq == self.allocations.warm_up_ticks {
             lock(&self.allocations.from).get_or_insert((count(), seq));
-        } else if seq > self.allocations.warm_up_ticks {
+        } else if seq > self.allocations.warm_up_ticks && (is_last || seq.is_multiple_of(16)) {
             *lock(&self.allocations.to) = Some((count(), seq));
         }
     }
