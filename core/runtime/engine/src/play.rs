@@ -42,9 +42,7 @@ impl Shared {
             }
             let region = Arc::clone(self.plan.load().region_of(node));
             let enters = known.admitted || known.gap;
-            if enters
-                && (!decider.may_enter(&runtime.id) || !region.has_room() || self.readers_lag(&self.plan.load(), node))
-            {
+            if enters && (!decider.may_enter(&runtime.id) || !region.has_room() || self.readers_lag(node)) {
                 runtime.runner.park_at_most(Some(Duration::from_millis(1)));
                 continue;
             }

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use arc_swap::{ArcSwap, Cache};
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
@@ -48,15 +47,16 @@ const HAND_OVER_NS: u64 = 1_000;
 const HANDED_OVER: u32 = 32;
 
 /// State of a source's thread between two ticks.
-struct Pace<'s> {
+struct Pace {
     /// Capture and wall time of the first tick.
     first: Option<(i64, u64)>,
     last_capture_ns: Option<i64>,
-    /// The plan, loaded again when it changed.
-    plan: Cache<&'s ArcSwap<Plan>, Arc<Plan>>,
-    /// Ticks to hand over before the source's chain runs on this thread.
+    region: Arc<Region>,
+    /// Recent maximum time of the chain that is the region; `u64::MAX` where it is unknown or must not run here.
+    chain_ns: u64,
+    /// Ticks to hand over before the chain runs on this thread, for a source that does not wait for capture times.
     to_hand_over: u32,
-    /// End of the last call on this thread, if nothing else was done since.
+    /// End of the last call of a chain on this thread, if nothing else was done since.
     end_ns: Option<u64>,
 }
 
@@ -127,7 +127,8 @@ impl Shared {
         let mut pace = Pace {
             first: None,
             last_capture_ns: runtime.ticks.last_capture_ns(),
-            plan: Cache::new(&self.plan),
+            region: Arc::clone(self.plan.load().region_of(node)),
+            chain_ns: u64::MAX,
             to_hand_over: HANDED_OVER,
             end_ns: None,
         };
@@ -180,19 +181,17 @@ impl Shared {
 
     /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns
     /// whether it waited.
-    fn wait_for_room(&self, node: usize, runtime: &NodeRuntime, pace: &mut Pace<'_>) -> bool {
+    fn wait_for_room(&self, node: usize, runtime: &NodeRuntime, pace: &mut Pace) -> bool {
         if self.waits_for_capture() {
             return false;
         }
-        let plan = pace.plan.load();
-        let region = plan.region_of(node);
         let has_room = match pace.to_hand_over {
-            // This thread just left the region empty.
-            0 if pace.end_ns.is_some() => true,
-            0 => region.is_free(),
-            _ => region.has_room(),
+            // This thread just left the region empty, and no other region reads it.
+            0 if pace.end_ns.is_some() => return false,
+            0 => pace.region.is_free(),
+            _ => pace.region.has_room(),
         };
-        let waits = !has_room || self.readers_lag(plan, node);
+        let waits = !has_room || self.readers_lag(node);
         if waits {
             pace.end_ns = None;
             // A reader of another region does not wake this thread when it catches up.
@@ -201,23 +200,21 @@ impl Shared {
         waits
     }
 
-    /// Whether the source's thread is to run the chain that is its region. A source that waits for capture times has
-    /// time for a chain that fits into `allowance_ns`. Another one saves the hand-over of ticks, unless both it and its
-    /// chain have so much to do that they should work at the same time.
-    fn runs_chain(&self, runtime: &NodeRuntime, pace: &mut Pace<'_>, node: usize, allowance_ns: u64) -> bool {
-        let plan = pace.plan.load();
+    /// Prepares the decision whether the source's thread runs the chain that is its region. A source that waits for
+    /// capture times has time for a chain that fits into its allowance. Another one saves the hand-over of ticks, unless
+    /// both it and its chain have so much to do that they should work at the same time.
+    fn look_ahead(&self, plan: &Plan, node: usize, runtime: &NodeRuntime, pace: &mut Pace) {
         let is_next =
             |first: &&Link| plan.wiring[first.node as usize].urgency == Urgency::Urgent || !self.pool.is_pressed();
         // In a loop through a source results may depend on the ticks in flight; a real-time source runs nothing else.
         let is_plain = runtime.kind != NodeKind::Realtime && runtime.declared.inputs_len == 0;
         let first = plan.sole_chain(node).filter(|first| is_plain && is_next(first));
-        let chain_ns = first.map_or(u64::MAX, |first| first.runtime.runner.chain_ns());
-        if self.waits_for_capture() {
-            return chain_ns < allowance_ns;
-        }
-        let hands_over = chain_ns > MAX_WALK_NS || chain_ns.min(runtime.runner.chain_ns()) > HAND_OVER_NS;
+        pace.chain_ns = first.map_or(u64::MAX, |first| first.runtime.runner.chain_ns());
+        let hands_over = pace.chain_ns > MAX_WALK_NS || pace.chain_ns.min(runtime.runner.chain_ns()) > HAND_OVER_NS;
         pace.to_hand_over = if hands_over { HANDED_OVER } else { pace.to_hand_over.saturating_sub(1) };
-        pace.to_hand_over == 0
+        if !Arc::ptr_eq(&pace.region, plan.region_of(node)) {
+            pace.region = Arc::clone(plan.region_of(node));
+        }
     }
 
     /// Makes the next tick of a source and delivers it.
@@ -226,7 +223,7 @@ impl Shared {
         node: usize,
         runtime: &Arc<NodeRuntime>,
         seq: u64,
-        pace: &mut Pace<'_>,
+        pace: &mut Pace,
         scratch: &mut Scratch,
     ) -> Step {
         if self.wait_for_room(node, runtime, pace) {
@@ -236,7 +233,6 @@ impl Shared {
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
         let has_inputs = runtime.declared.inputs_len != 0;
         if has_inputs && !self.take_source(runtime, tick, &mut scratch.inputs) {
-            pace.end_ns = None;
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
@@ -294,17 +290,34 @@ impl Shared {
         }
         runtime.ticks.enter(seq);
         self.meter_allocations(seq + 1, false);
-        let alone =
-            self.runs_chain(runtime, pace, node, allowance_ns) && pace.plan.load().region_of(node).admit_alone(seq);
+        self.pass_on(node, runtime, (tick, now_ns), allowance_ns, pace, scratch)
+    }
+
+    /// Passes the tick of a source in `scratch` on: to the chain that is its region, on this thread, or to its region.
+    fn pass_on(
+        &self,
+        node: usize,
+        runtime: &NodeRuntime,
+        (tick, now_ns): (Tick, u64),
+        allowance_ns: u64,
+        pace: &mut Pace,
+        scratch: &mut Scratch,
+    ) -> Step {
+        let runs_chain = if self.waits_for_capture() { pace.chain_ns < allowance_ns } else { pace.to_hand_over == 0 };
+        let alone = runs_chain && pace.region.admit_alone(tick.seq);
         // The wiring of a region that admitted a tick does not change: deliver by this plan.
-        let plan = pace.plan.load();
+        let plan = self.plan.load();
         if alone && let Some(first) = plan.sole_chain(node) {
-            let end_ns = self.run_sole_chain(plan, node, first, (tick, now_ns), allowance_ns, scratch);
+            let end_ns = self.run_sole_chain(&plan, node, first, (tick, now_ns), allowance_ns, scratch);
             // Beyond a sink nothing was delivered, which may take longer than a call.
             pace.end_ns = end_ns.filter(|_| plan.following(node).last().is_some_and(|link| link.sink));
+            self.look_ahead(&plan, node, runtime, pace);
             return if end_ns.is_some() { Step::Next } else { Step::GivenUp };
         }
-        self.admit(node, runtime, (tick, alone), allowance_ns, scratch)
+        drop(plan);
+        let step = self.admit(node, runtime, (tick, alone), &pace.region, allowance_ns, scratch);
+        self.look_ahead(&self.plan.load(), node, runtime, pace);
+        step
     }
 
     /// Runs the chain that is a source's region, into which the tick in `scratch` was admitted as the only one. Returns
@@ -367,10 +380,10 @@ impl Shared {
         node: usize,
         runtime: &NodeRuntime,
         (tick, is_admitted): (Tick, bool),
+        region: &Region,
         allowance_ns: u64,
         scratch: &mut Scratch,
     ) -> Step {
-        let region = &Arc::clone(self.plan.load().region_of(node));
         let mut outputs = region.spare();
         for output in &mut scratch.made[0].outputs {
             let raw = std::mem::replace(output, Frame::EMPTY);
@@ -452,10 +465,11 @@ impl Shared {
     }
 
     /// Whether a reader of another region is too far behind in batch.
-    pub(crate) fn readers_lag(&self, plan: &Plan, node: usize) -> bool {
+    pub(crate) fn readers_lag(&self, node: usize) -> bool {
         if !self.context.ignores_wall_clock() {
             return false;
         }
+        let plan = self.plan.load();
         let outsiders = &plan.outsiders[plan.wiring[node].region];
         outsiders.iter().any(|&(reader, slot)| lock(&plan.runtimes[reader].join).waiting(slot) > MAX_BEHIND)
     }
