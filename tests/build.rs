@@ -55,6 +55,13 @@ const MUTATIONS: &[Mutation] = &[
         to: "self.version.store(snapshot.version(), Ordering::Release);\n        *lock(&self.snapshot) = snapshot;",
     },
     Mutation {
+        name: "a_tick_is_admitted_beside_another",
+        subject: "region",
+        source: "region",
+        from: "state.in_flight == 0 && self.open(state)",
+        to: "self.open(state)",
+    },
+    Mutation {
         name: "a_tick_overtakes_those_that_waited",
         subject: "region",
         source: "region",

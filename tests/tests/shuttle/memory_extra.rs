@@ -27,7 +27,6 @@ impl Memory {
             shared: Shared::new(),
             in_use_bytes: AtomicI64::new(0),
             limit_bytes: AtomicI64::new(limit_bytes),
-            allocations: AtomicU64::new(0),
         }
     }
 }

@@ -127,6 +127,15 @@ impl Plan {
         &self.regions[self.wiring[node].region]
     }
 
+    /// The first node after a source whose region is one inline chain: whoever admits the only tick of the region runs
+    /// the chain without queue or lock.
+    #[inline]
+    pub fn sole_chain(&self, source: usize) -> Option<&Link> {
+        let links = self.following(source);
+        let extent = &self.extents[self.wiring[source].region];
+        links.first().filter(|_| extent.head == source && extent.members.len() == links.len() + 1)
+    }
+
     /// The nodes that run inline after a node, one after the other.
     #[inline]
     pub fn following(&self, node: usize) -> &[Link] {
@@ -350,7 +359,8 @@ fn format_number(name: &str) -> Option<u32> {
     panoscope_base::format::image_named(name).map(|format| format.id)
 }
 
-/// A reader runs inline if it reads nothing else and its producer has no other reader.
+/// A reader runs inline if it reads nothing else and its producer has no other reader. After a source it runs inline
+/// where it can, see [`Plan::sole_chain`], and else from its queue: it heads its chain.
 fn inline_chains(
     graph: &Graph,
     catalog: &Catalog,
@@ -359,6 +369,7 @@ fn inline_chains(
     wiring: &mut [Wiring],
 ) {
     let compute = |slot: usize| runtimes[slot].kind == NodeKind::Compute && !runtimes[slot].source;
+    let leads = |slot: usize| runtimes[slot].source || compute(slot);
     for &node in &graph.order {
         let slot = slots[node];
         let mut readers =
@@ -367,12 +378,14 @@ fn inline_chains(
         let Some(edge) = graph.outputs_of(node).next() else { continue };
         let edges = graph.inputs_of(edge.to_node);
         let alone = edges.len() == 1 && is_exact(edge) && edge.list_index == 0;
-        if alone && !reader.convert && compute(slot) && compute(reader.node) {
+        if alone && !reader.convert && leads(slot) && compute(reader.node) {
             let declared = &graph.nodes[edge.to_node].node_type(catalog).inputs[edge.to_port];
             let optional = declared.optional || declared.list;
             wiring[slot].inline = Some(Inline { port, node: reader.node, optional, accepts: reader.accepts });
-            // Producers come first in `order`.
-            wiring[reader.node].chain_head = wiring[slot].chain_head;
+            if !runtimes[slot].source {
+                // Producers come first in `order`.
+                wiring[reader.node].chain_head = wiring[slot].chain_head;
+            }
         }
     }
 }

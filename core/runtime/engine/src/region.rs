@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::memory::FrameRef;
 use crate::sync::lock;
@@ -25,6 +25,8 @@ struct State {
     pause_before: u64,
     /// Number of the tick after the last one that arrived.
     next_seq: Option<u64>,
+    /// The head waits until at most so many ticks are inside.
+    awaited: Option<u32>,
     /// Ticks of a live source that wait to enter: those of a pause, then the newest.
     pending: VecDeque<Vec<FrameRef>>,
     /// Number of them that came during a pause and must not be replaced.
@@ -42,7 +44,6 @@ pub(crate) struct Region {
     limit: AtomicU32,
     remaining: Box<[AtomicU32]>,
     state: Mutex<State>,
-    full: AtomicBool,
 }
 
 /// Ticks that may enter after a tick has finished.
@@ -68,6 +69,7 @@ impl Region {
             handing: false,
             pause_before: u64::MAX,
             next_seq: None,
+            awaited: None,
             pending: VecDeque::with_capacity(4),
             protected: 0,
             spare: Vec::with_capacity(4),
@@ -78,7 +80,6 @@ impl Region {
             limit: AtomicU32::new(limit.clamp(1, RING as u32 - 1)),
             remaining: (0..RING).map(|_| AtomicU32::new(leaves)).collect(),
             state: Mutex::new(state),
-            full: AtomicBool::new(false),
         }
     }
 
@@ -94,6 +95,12 @@ impl Region {
         state.in_flight += 1;
     }
 
+    /// Has the head woken when the region is half empty, not for every tick, because waking a thread costs more than
+    /// many nodes do.
+    fn await_half(&self, state: &mut State) {
+        state.awaited = Some(self.limit.load(Ordering::Relaxed) / 2);
+    }
+
     /// Admits a tick if there is room.
     pub fn try_admit(&self) -> bool {
         let mut state = self.state();
@@ -101,19 +108,45 @@ impl Region {
         if open {
             self.admit(&mut state);
         } else {
-            self.full.store(true, Ordering::Relaxed);
+            self.await_half(&mut state);
         }
         open
     }
 
-    /// Whether a tick could be admitted.
+    /// Whether a tick could be admitted. If not, the head is woken once the region is half empty.
     pub fn has_room(&self) -> bool {
-        let state = self.state();
+        let mut state = self.state();
         let room = self.open(&state) && state.pending.is_empty();
         if !room {
-            self.full.store(true, Ordering::Relaxed);
+            self.await_half(&mut state);
         }
         room
+    }
+
+    /// Whether a tick could be admitted and be the only one. If not, the head is woken once the region is empty.
+    pub fn is_free(&self) -> bool {
+        let mut state = self.state();
+        let free = self.would_be_alone(&state);
+        if !free {
+            state.awaited = Some(0);
+        }
+        free
+    }
+
+    fn would_be_alone(&self, state: &State) -> bool {
+        state.in_flight == 0 && self.open(state) && state.pending.is_empty() && !state.handing
+    }
+
+    /// Admits a source's tick `seq` if no other is inside or waits: until it is done, no other thread runs a node of
+    /// the region.
+    pub fn admit_alone(&self, seq: u64) -> bool {
+        let mut state = self.state();
+        let alone = self.would_be_alone(&state) && seq < state.pause_before;
+        if alone {
+            state.next_seq = Some(seq.saturating_add(1));
+            self.admit(&mut state);
+        }
+        alone
     }
 
     /// Admits a live source's tick, or queues it in place of an older one. Returns the outputs to deliver now, and
@@ -186,11 +219,14 @@ impl Region {
 
     /// Counts a tick that a leaf finished, its `nth` from 0, and says what may enter.
     pub fn leaf_done(&self, nth: u64) -> Freed {
-        let slot = &self.remaining[nth as usize % RING];
-        if slot.fetch_sub(1, Ordering::AcqRel) != 1 {
-            return Freed::Nothing;
+        let leaves = self.leaves.load(Ordering::Relaxed);
+        if leaves > 1 {
+            let slot = &self.remaining[nth as usize % RING];
+            if slot.fetch_sub(1, Ordering::AcqRel) != 1 {
+                return Freed::Nothing;
+            }
+            slot.store(leaves, Ordering::Release);
         }
-        slot.store(self.leaves.load(Ordering::Relaxed), Ordering::Release);
         let mut state = self.state();
         state.in_flight = state.in_flight.saturating_sub(1);
         if state.handing {
@@ -200,11 +236,12 @@ impl Region {
             state.handing = true;
             return Freed::Pending(outputs);
         }
-        // A full region wakes its head when it is half empty, not for every tick, because waking a thread costs more than many nodes do.
-        if state.in_flight <= self.limit.load(Ordering::Relaxed) / 2 && self.full.swap(false, Ordering::Relaxed) {
-            Freed::Head
-        } else {
-            Freed::Nothing
+        match state.awaited {
+            Some(most) if state.in_flight <= most => {
+                state.awaited = None;
+                Freed::Head
+            }
+            _ => Freed::Nothing,
         }
     }
 
@@ -265,7 +302,7 @@ impl Region {
         let mut state = self.state();
         state.paused = false;
         state.pause_before = u64::MAX;
-        self.full.store(false, Ordering::Relaxed);
+        state.awaited = None;
         if state.handing {
             // The thread that delivers now continues with them.
             return Vec::new();
@@ -339,6 +376,28 @@ mod tests {
         assert!(region.has_pending(), "its readers have not got it yet");
         assert!(region.handed_over().is_none());
         assert!(!region.has_pending());
+    }
+
+    /// The thread that admitted a tick alone runs the nodes of the region itself.
+    #[test]
+    fn a_tick_is_admitted_alone_only_into_an_empty_open_region() {
+        let region = Region::new(0, 1, 4);
+        assert!(region.is_free() && region.admit_alone(0));
+        assert_eq!((region.next_seq(), region.in_flight()), (Some(1), 1));
+        assert!(!region.admit_alone(1) && !region.is_free(), "another tick is inside");
+        assert!(matches!(region.leaf_done(0), Freed::Head), "the source waited for the empty region");
+        assert!(matches!(region.admit_or_keep(tick(1)), (Some(_), None)));
+        assert!(region.has_room() && matches!(region.leaf_done(1), Freed::Nothing), "nobody waits");
+        region.pause();
+        assert!(!region.admit_alone(2), "the region pauses");
+        assert!(region.admit_or_keep(tick(2)).0.is_none());
+        assert_eq!(region.resume().iter().map(|l| seq(l)).collect::<Vec<_>>(), [2]);
+        assert!(matches!(region.leaf_done(2), Freed::Nothing));
+        assert!(!region.admit_alone(3), "another thread still delivers what waited");
+        assert!(region.handed_over().is_none() && region.admit_alone(3));
+        assert!(matches!(region.leaf_done(3), Freed::Nothing));
+        assert_eq!(region.pause_before(4, 4), Ok(()));
+        assert!(!region.admit_alone(4), "the pause begins at this tick");
     }
 
     /// A change names the first tick that meets it, also while that tick is on its way from its source.

@@ -69,6 +69,7 @@ impl Scratch {
 ///
 /// # Safety
 /// Each frame that is not empty holds a reference, as [`FrameRef::adopt`] requires.
+#[inline]
 pub(crate) unsafe fn clear(outputs: &mut [Frame]) {
     for frame in outputs.iter_mut().filter(|f| !f.is_empty()) {
         // SAFETY: the caller's promise; the list no longer has the frame after the `replace`.

@@ -15,6 +15,8 @@ use crate::memory::FrameRef;
 use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::own_thread::OwnThread;
+use crate::plan::{Link, Plan};
+use crate::pool::{self, Urgency};
 use crate::region::Region;
 use crate::schedule::{Ready, Shared};
 use crate::scratch::Scratch;
@@ -39,13 +41,23 @@ const MAX_WALK_NS: u64 = 1_000_000;
 const WALK_SHARE: u64 = 8;
 /// As [`MAX_WALK_NS`], for the thread of a node that may block: about the time to wake another thread.
 const SHORT_WALK_NS: u64 = 100_000;
+/// Time that two busy threads spend to hand a tick over. Working at the same time pays only if both have more to do.
+const HAND_OVER_NS: u64 = 1_000;
+/// Ticks for which a source that does not wait for capture times hands over what it makes, once that pays.
+const HANDED_OVER: u32 = 32;
 
 /// State of a source's thread between two ticks.
-#[derive(Default)]
 struct Pace {
     /// Capture and wall time of the first tick.
     first: Option<(i64, u64)>,
     last_capture_ns: Option<i64>,
+    region: Arc<Region>,
+    /// Recent maximum time of the chain that is the region; `u64::MAX` where it is unknown or must not run here.
+    chain_ns: u64,
+    /// Ticks to hand over before the chain runs on this thread, for a source that does not wait for capture times.
+    to_hand_over: u32,
+    /// End of the last call of a chain on this thread, if nothing else was done since.
+    end_ns: Option<u64>,
 }
 
 impl Shared {
@@ -112,7 +124,14 @@ impl Shared {
     /// Runs until the node finishes or is removed. Returns whether the watchdog abandoned this thread.
     fn source_thread(&self, node: usize, runtime: &Arc<NodeRuntime>) -> bool {
         let mut scratch = Scratch::default();
-        let mut pace = Pace { last_capture_ns: runtime.ticks.last_capture_ns(), ..Pace::default() };
+        let mut pace = Pace {
+            first: None,
+            last_capture_ns: runtime.ticks.last_capture_ns(),
+            region: Arc::clone(self.plan.load().region_of(node)),
+            chain_ns: u64::MAX,
+            to_hand_over: HANDED_OVER,
+            end_ns: None,
+        };
         let leaves = || runtime.runner.leave.accept();
         if let Some(decider) = self.context.decider.clone() {
             if self.play(&*decider, node, runtime) {
@@ -139,6 +158,7 @@ impl Shared {
 
     /// Finishes a source that has made its last tick. Always returns `false`: the thread was not abandoned.
     fn source_over(&self, node: usize, runtime: &NodeRuntime) -> bool {
+        self.meter_allocations(runtime.ticks.made(), true);
         let region = Arc::clone(self.plan.load().region_of(node));
         while region.has_pending() {
             runtime.runner.park_at_most(Some(Duration::from_millis(1)));
@@ -154,19 +174,47 @@ impl Shared {
         false
     }
 
+    /// Whether sources wait until the capture time of each tick.
+    fn waits_for_capture(&self) -> bool {
+        self.paced && !self.context.batch
+    }
+
     /// In batch and unpaced runs: waits for room in the source's region and for slow readers, at most 100 ms. Returns
     /// whether it waited.
-    fn wait_for_room(&self, node: usize, runtime: &NodeRuntime) -> bool {
-        if self.paced && !self.context.batch {
+    fn wait_for_room(&self, node: usize, runtime: &NodeRuntime, pace: &mut Pace) -> bool {
+        if self.waits_for_capture() {
             return false;
         }
-        let has_room = self.plan.load().region_of(node).has_room();
+        let has_room = match pace.to_hand_over {
+            // This thread just left the region empty, and no other region reads it.
+            0 if pace.end_ns.is_some() => return false,
+            0 => pace.region.is_free(),
+            _ => pace.region.has_room(),
+        };
         let waits = !has_room || self.readers_lag(node);
         if waits {
+            pace.end_ns = None;
             // A reader of another region does not wake this thread when it catches up.
             runtime.runner.park_at_most(Some(Duration::from_millis(if has_room { 1 } else { 100 })));
         }
         waits
+    }
+
+    /// Prepares the decision whether the source's thread runs the chain that is its region. A source that waits for
+    /// capture times has time for a chain that fits into its allowance. Another one saves the hand-over of ticks, unless
+    /// both it and its chain have so much to do that they should work at the same time.
+    fn look_ahead(&self, plan: &Plan, node: usize, runtime: &NodeRuntime, pace: &mut Pace) {
+        let is_next =
+            |first: &&Link| plan.wiring[first.node as usize].urgency == Urgency::Urgent || !self.pool.is_pressed();
+        // In a loop through a source results may depend on the ticks in flight; a real-time source runs nothing else.
+        let is_plain = runtime.kind != NodeKind::Realtime && runtime.declared.inputs_len == 0;
+        let first = plan.sole_chain(node).filter(|first| is_plain && is_next(first));
+        pace.chain_ns = first.map_or(u64::MAX, |first| first.runtime.runner.chain_ns());
+        let hands_over = pace.chain_ns > MAX_WALK_NS || pace.chain_ns.min(runtime.runner.chain_ns()) > HAND_OVER_NS;
+        pace.to_hand_over = if hands_over { HANDED_OVER } else { pace.to_hand_over.saturating_sub(1) };
+        if !Arc::ptr_eq(&pace.region, plan.region_of(node)) {
+            pace.region = Arc::clone(plan.region_of(node));
+        }
     }
 
     /// Makes the next tick of a source and delivers it.
@@ -178,17 +226,17 @@ impl Shared {
         pace: &mut Pace,
         scratch: &mut Scratch,
     ) -> Step {
-        if self.wait_for_room(node, runtime) {
+        if self.wait_for_room(node, runtime, pace) {
             return Step::Next;
         }
         let capture_ns = pace.last_capture_ns.map_or(0, |last| last.saturating_add(DEFAULT_FRAME_NS));
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
-        if !self.take_source(runtime, tick) {
+        let has_inputs = runtime.declared.inputs_len != 0;
+        if has_inputs && !self.take_source(runtime, tick, &mut scratch.inputs) {
             runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
-        scratch.inputs.append(&mut lock(&runtime.join).staged);
-        let start_ns = clock::now_ns();
+        let start_ns = pace.end_ns.take().unwrap_or_else(clock::now_ns);
         let (inputs, made) = (&mut scratch.inputs, &mut scratch.made[0]);
         let mut ports = Ports { inputs, lone: false, made, sources: self };
         let called = match runtime.call_node(&self.context, &mut tick, true, start_ns, &mut ports) {
@@ -204,6 +252,7 @@ impl Shared {
             return self.after_no_tick(node, runtime, &called, &tick, start_ns);
         }
         let Called { end_ns: mut now_ns, arrived_ns: declared_ns, .. } = called;
+        runtime.runner.record_chain_time(now_ns.saturating_sub(start_ns));
         let made = &mut scratch.made[0];
         if !capture_fits(tick.capture_ns, pace.last_capture_ns) {
             made.clear();
@@ -212,13 +261,15 @@ impl Shared {
             self.wait_for_next_frame(runtime, start_ns);
             return Step::Next;
         }
-        lock(&runtime.join).made_tick();
+        if has_inputs {
+            lock(&runtime.join).made_tick();
+        }
         let mut allowance_ns = 0;
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
             let period_ns = tick.capture_ns.abs_diff(last);
             self.frame_ns.store(period_ns, Ordering::Relaxed);
             // In batch the source makes its next tick at once instead.
-            if self.paced && !self.context.batch {
+            if self.waits_for_capture() {
                 allowance_ns = MAX_WALK_NS.min(period_ns / WALK_SHARE);
             }
         }
@@ -231,22 +282,66 @@ impl Shared {
         if let Some(observer) = &self.context.observer {
             observer.source_tick(&runtime.id, &runtime.output_names, &tick, &made.outputs);
         }
-        let region = Arc::clone(self.plan.load().region_of(node));
-        let mut outputs = region.spare();
-        for output in &mut made.outputs {
-            let raw = std::mem::replace(output, Frame::EMPTY);
-            // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list no longer has after the `replace`.
-            outputs.push(unsafe { FrameRef::adopt(Frame { tick, ..raw }) });
-        }
-        if self.paced && !self.context.batch {
+        if self.waits_for_capture() {
             now_ns = self.wait_until_due(runtime, tick.capture_ns, now_ns, &mut pace.first);
         }
         if declared_ns.is_none() {
             runtime.ticks.arrive(seq, now_ns as i64);
         }
         runtime.ticks.enter(seq);
-        self.meter_allocations(seq + 1);
-        self.admit(node, runtime, &region, outputs, allowance_ns, scratch)
+        self.meter_allocations(seq + 1, false);
+        self.pass_on(node, runtime, (tick, now_ns), allowance_ns, pace, scratch)
+    }
+
+    /// Passes the tick of a source in `scratch` on: to the chain that is its region, on this thread, or to its region.
+    fn pass_on(
+        &self,
+        node: usize,
+        runtime: &NodeRuntime,
+        (tick, now_ns): (Tick, u64),
+        allowance_ns: u64,
+        pace: &mut Pace,
+        scratch: &mut Scratch,
+    ) -> Step {
+        let runs_chain = if self.waits_for_capture() { pace.chain_ns < allowance_ns } else { pace.to_hand_over == 0 };
+        let alone = runs_chain && pace.region.admit_alone(tick.seq);
+        // The wiring of a region that admitted a tick does not change: deliver by this plan.
+        let plan = self.plan.load();
+        if alone && let Some(first) = plan.sole_chain(node) {
+            let end_ns = self.run_sole_chain(&plan, node, first, (tick, now_ns), allowance_ns, scratch);
+            // Beyond a sink nothing was delivered, which may take longer than a call.
+            pace.end_ns = end_ns.filter(|_| plan.following(node).last().is_some_and(|link| link.sink));
+            self.look_ahead(&plan, node, runtime, pace);
+            return if end_ns.is_some() { Step::Next } else { Step::GivenUp };
+        }
+        drop(plan);
+        let step = self.admit(node, runtime, (tick, alone), &pace.region, allowance_ns, scratch);
+        self.look_ahead(&self.plan.load(), node, runtime, pace);
+        step
+    }
+
+    /// Runs the chain that is a source's region, into which the tick in `scratch` was admitted as the only one. Returns
+    /// when the last call ended, `None` if the watchdog abandoned this thread.
+    fn run_sole_chain(
+        &self,
+        plan: &Plan,
+        node: usize,
+        first: &Link,
+        (tick, now_ns): (Tick, u64),
+        allowance_ns: u64,
+        scratch: &mut Scratch,
+    ) -> Option<u64> {
+        if let Some(observer) = &self.context.observer {
+            observer.admitted(&plan.runtimes[node].id);
+        }
+        pool::set_urgency(plan.wiring[first.node as usize].urgency);
+        let mut ready = Ready::default();
+        let end_ns = self.chain(plan, node, tick, now_ns, scratch, &mut ready)?;
+        first.runtime.runner.record_chain_time(end_ns.saturating_sub(now_ns));
+        match ready.dispatch_ready(self, plan, allowance_ns) {
+            Some(next) => self.run(next, scratch, allowance_ns).then(clock::now_ns),
+            None => Some(end_ns),
+        }
     }
 
     /// Handles a call of a source that made no tick because it ended, failed or was skipped.
@@ -278,18 +373,24 @@ impl Shared {
         Step::Next
     }
 
-    /// Admits a tick of a source to its region, now or when there is room, and runs what follows for at most
-    /// `allowance_ns`.
+    /// Admits the tick of a source in `scratch` to its region, if it `is_admitted` not already, now or when there is
+    /// room, and runs what follows for at most `allowance_ns`.
     fn admit(
         &self,
         node: usize,
         runtime: &NodeRuntime,
+        (tick, is_admitted): (Tick, bool),
         region: &Region,
-        outputs: Vec<FrameRef>,
         allowance_ns: u64,
         scratch: &mut Scratch,
     ) -> Step {
-        let (enter, dropped) = region.admit_or_keep(outputs);
+        let mut outputs = region.spare();
+        for output in &mut scratch.made[0].outputs {
+            let raw = std::mem::replace(output, Frame::EMPTY);
+            // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list no longer has after the `replace`.
+            outputs.push(unsafe { FrameRef::adopt(Frame { tick, ..raw }) });
+        }
+        let (enter, dropped) = if is_admitted { (Some(outputs), None) } else { region.admit_or_keep(outputs) };
         if let Some(old) = dropped {
             if let Some(seq) = old.first().map(|f| f.tick().seq) {
                 self.count_lacking(node, seq);

@@ -12,7 +12,7 @@ mod domain;
 mod pool;
 
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
 use panoscope_abi::{BufferId, Frame};
 
@@ -40,7 +40,6 @@ pub struct Memory {
     shared: Shared,
     in_use_bytes: AtomicI64,
     limit_bytes: AtomicI64,
-    allocations: AtomicU64,
 }
 
 /// A buffer could not be allocated.
@@ -83,7 +82,6 @@ pub fn memory() -> &'static Memory {
         shared: Shared::new(),
         in_use_bytes: AtomicI64::new(0),
         limit_bytes: AtomicI64::new(2 << 30),
-        allocations: AtomicU64::new(0),
     };
     &MEMORY
 }
@@ -102,11 +100,6 @@ impl Memory {
     /// Bytes handed out now (as sizes of the buffers, not of the frames).
     pub fn in_use_bytes(&self) -> i64 {
         self.in_use_bytes.load(Ordering::Relaxed)
-    }
-
-    /// Buffers handed out since the process began.
-    pub fn allocations(&self) -> u64 {
-        self.allocations.load(Ordering::Relaxed)
     }
 
     fn pool(&self, number: u32) -> Option<&Pool> {
@@ -144,7 +137,6 @@ impl Memory {
             self.in_use_bytes.fetch_sub(size, Ordering::Relaxed);
             return Err(exhausted(before));
         };
-        self.allocations.fetch_add(1, Ordering::Relaxed);
         pool.put_canary(slot);
         pool.references[slot as usize].store(1, Ordering::Relaxed);
         // Only the owner of the slot writes it.

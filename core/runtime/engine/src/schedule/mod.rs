@@ -206,6 +206,7 @@ impl Shared {
             };
             scratch.inputs.clear();
             self.after(plan, node, plan.wiring[node].sink, called.outcome, &tick, called.end_ns);
+            self.show(runtime, &scratch.made[0].outputs);
             let end_ns = self.chain(plan, node, tick, called.end_ns, scratch, ready)?;
             runtime.runner.record_chain_time(end_ns.saturating_sub(start_ns));
         }
@@ -265,9 +266,9 @@ impl Shared {
         }
     }
 
-    /// Runs the inline readers of the outputs in `scratch.made[0]`, delivers the outputs of the last one and notifies
-    /// the region. Returns when the last call ended, `None` if one was abandoned.
-    fn chain(
+    /// Runs the inline readers of the outputs in `scratch.made[0]`, which were shown, delivers the outputs of the last
+    /// one and notifies the region. Returns when the last call ended, `None` if one was abandoned.
+    pub fn chain(
         &self,
         plan: &Plan,
         node: usize,
@@ -277,13 +278,11 @@ impl Shared {
         ready: &mut Ready,
     ) -> Option<u64> {
         let mut last = node;
-        let mut last_cell = &*plan.runtimes[node];
         let [made, next] = &mut scratch.made;
         let (mut made, mut next) = (made, next);
         let links = plan.following(node);
         for (at, link) in links.iter().enumerate() {
             prefetch_next(links, at + 1);
-            self.show(last_cell, &made.outputs);
             let frame = &mut made.outputs[link.port as usize];
             if !takes(link.accepts, frame) {
                 self.refused(plan, last, link.port as usize, link.node as usize, link.accepts, frame);
@@ -318,10 +317,10 @@ impl Shared {
                 self.after(plan, link.node as usize, link.sink, called.outcome, &tick, called.end_ns);
             }
             now_ns = called.end_ns;
-            (last, last_cell) = (link.node as usize, runtime);
+            last = link.node as usize;
             std::mem::swap(&mut made, &mut next);
+            self.show(runtime, &made.outputs);
         }
-        self.show(last_cell, &made.outputs);
         for (port, output) in made.outputs.iter_mut().enumerate() {
             let raw = std::mem::replace(output, Frame::EMPTY);
             let tick = if raw.is_empty() { tick } else { raw.tick };
@@ -571,11 +570,12 @@ impl Shared {
         self.stopping.load(Ordering::Acquire)
     }
 
-    pub fn meter_allocations(&self, seq: u64) {
+    /// Counts the heap allocations up to a source's tick `seq`: after the warm-up, every 16 ticks, and at its end.
+    pub fn meter_allocations(&self, seq: u64, is_last: bool) {
         let Some(count) = self.allocations.count else { return };
         if seq == self.allocations.warm_up_ticks {
             lock(&self.allocations.from).get_or_insert((count(), seq));
-        } else if seq > self.allocations.warm_up_ticks {
+        } else if seq > self.allocations.warm_up_ticks && (is_last || seq.is_multiple_of(16)) {
             *lock(&self.allocations.to) = Some((count(), seq));
         }
     }

@@ -9,6 +9,7 @@ use crate::clock;
 use crate::fault::{Action, Cause};
 use crate::join::{Join, Take};
 use crate::light::Lights;
+use crate::memory::FrameRef;
 use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::plan::Plan;
@@ -22,7 +23,8 @@ impl Shared {
 
     /// Tries to take the next tick of a node that no thread runs, or that this thread just ran.
     pub(super) fn decide(&self, plan: &Plan, node: usize, join: &mut Join) -> Next {
-        let lights = Lights { sources: plan, by_capture: self.context.ignores_wall_clock(), now_ns: clock::now_ns() };
+        let now_ns = if join.is_timed() { clock::now_ns() } else { 0 };
+        let lights = Lights { sources: plan, by_capture: self.context.ignores_wall_clock(), now_ns };
         let take = if self.context.observer.is_none() && self.context.decider.is_none() {
             join.try_take(self.gate(plan, node, join), &lights)
         } else {
@@ -68,8 +70,8 @@ impl Shared {
         take
     }
 
-    /// Stages the inputs of a source; `false` while the previous tick's value is still being made.
-    pub(crate) fn take_source(&self, runtime: &NodeRuntime, tick: Tick) -> bool {
+    /// Puts the inputs of a source into `inputs`; `false` while the previous tick's value is still being made.
+    pub(crate) fn take_source(&self, runtime: &NodeRuntime, tick: Tick, inputs: &mut Vec<FrameRef>) -> bool {
         let mut join = lock(&runtime.join);
         let now_ns = if join.is_timed() { clock::now_ns() } else { 0 };
         let lights = Lights { sources: self, by_capture: self.context.ignores_wall_clock(), now_ns };
@@ -77,6 +79,7 @@ impl Shared {
         if let Some(slot) = join.too_old_on.take() {
             self.report_too_old(runtime, &join, slot);
         }
+        inputs.append(&mut join.staged);
         is_staged
     }
 
