@@ -1,7 +1,9 @@
 """Graphs that are built in Python: the same as those of a file, and mistakes reported at the calls. Started by tests/tests/python_host.rs."""
 
+import base64
 import inspect
 import os
+import re
 import subprocess
 import tempfile
 import unittest
@@ -22,6 +24,31 @@ class Invert:
     def process(self, image: ps.Gray8) -> ps.Gray8:
         return 255 - image
 '''
+
+
+GAIN = 2
+WEIGHTS = np.ones(3)
+
+
+def doubled(image):
+    return np.minimum(image.astype(np.uint16) * GAIN, 255).astype(np.uint8)
+
+
+@ps.node(family="filter")
+class Brighter:
+    """Twice as bright, and shifted."""
+
+    shift: int = ps.param(0, range=(0, 9), doc="Added")
+
+    def process(self, image: ps.Gray8) -> ps.Gray8:
+        return doubled(image) // 2 + self.shift
+
+
+@ps.node()
+class NeedsWeights:
+    def process(self, image: ps.Gray8) -> ps.Gray8:
+        WIDTH = 3  # a name of this function alone
+        return (image * WEIGHTS[:WIDTH].sum()).astype(np.uint8)
 
 
 def line_of(text):
@@ -148,6 +175,43 @@ class Building(unittest.TestCase):
         fingerprints = [[p.fingerprint for p in series.packets()] for series in (read["stereo_depth.disparity"], result[depth.disparity])]
         self.assertEqual(*fingerprints)
 
+    def test_a_class_of_this_program_is_a_node(self):
+        graph = ps.Graph(mode="batch")
+        views = graph.phantom(width=160, height=120)
+        brighter = graph.add(Brighter, views.left, shift=3)
+        result = graph.run(frames=2, watch=[views.left, brighter.image])
+        for before, after in zip(result[views.left], result[brighter.image]):
+            self.assertEqual(after.shape, before.shape[:2])
+            self.assertAlmostEqual(float(after.mean()), float(np.minimum(before.mean(2), 127.5).mean()) + 3, delta=3)
+        self.assertIn("Twice as bright", graph._draft.maker("brighter").__doc__)
+        # The file finds the class beside it, whoever runs it.
+        file = graph.save("bright.toml")
+        self.assertTrue((self.folder / "brighter_node.py").is_file())
+        self.assertNotIn("panoscope-nodes-", file.read_text())
+        done = subprocess.run([COMMAND, "run", "--headless", "--frames", "2", file], capture_output=True, text=True)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        again = ps.Graph(file).run(frames=2, watch=["brighter.image"])["brighter.image"]
+        self.assertEqual([p.fingerprint for p in again.packets()], [p.fingerprint for p in result[brighter.image].packets()])
+        (self.folder / "brighter_node.py").write_text("# of the user")
+        with self.assertRaisesRegex(ps.GraphError, "another folder"):
+            graph.save("bright.toml")
+
+    def test_what_a_class_cannot_take_along_is_named(self):
+        graph = ps.Graph()
+        views = graph.phantom()
+        with self.assertRaisesRegex(ps.GraphError, "NeedsWeights uses `WEIGHTS`, a ndarray of the notebook: .* read it from a file"):
+            graph.add(NeedsWeights, views.left)
+        with self.assertRaisesRegex(ps.GraphError, "Path is not a node type: put `@ps.node"):
+            graph.add(Path, views.left)
+
+        @ps.node()
+        class Inner:
+            def process(self, image: ps.Gray8) -> ps.Gray8:
+                return image
+
+        with self.assertRaisesRegex(ps.GraphError, "defined inside a function"):
+            graph.add(Inner, views.left)
+
     def test_sweeps_and_live_changes_take_it(self):
         graph, views, match = self.stereo()
         judge = graph.evaluate_disparity(disparity=match.disparity, truth=views.disparity)
@@ -161,8 +225,12 @@ class Building(unittest.TestCase):
         graph, views, match = self.stereo()
         points = graph.reproject(views.left, match.disparity, views.calibration)
         page = graph._repr_html_()
-        for words in ("<svg", "stereo_bm", "phantom.left to stereo_bm.left", "reproject.depth"):
+        for words in ("phantom.left to stereo_bm.left", "reproject.depth"):
             self.assertIn(words, page)
+        # Jupyter shows the elements of an SVG only in notebooks that it trusts, images always.
+        self.assertNotIn("<svg", page)
+        drawing = base64.b64decode(re.search(r'src="data:image/svg\+xml;base64,([^"]+)"', page)[1]).decode()
+        self.assertTrue(drawing.startswith("<svg") and ">stereo_bm</text>" in drawing, drawing)
         result = graph.run(frames=4, watch=[views.left, match.disparity, points.depth, points.cloud, views.detections, views.calibration])
         depth = result[points.depth]
         self.assertEqual(depth.packet(0).packet_type(), "depth")

@@ -74,6 +74,49 @@ type = "drain"
 inputs = { image = "bag.left" }
 """
 
+# What is computed from the views of a source named `scope`.
+COMPUTES = """
+[nodes.rectify]
+type = "rectify"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "rectify.left", right = "rectify.right", calibration = "rectify.calibration" }
+params = { search_px = 64, rectified_only = true }
+[nodes.points]
+type = "reproject"
+inputs = { image = "rectify.left", disparity = "match.disparity", calibration = "rectify.calibration" }
+[nodes.lengths]
+type = "measure"
+inputs = { cloud = "points.cloud", calibration = "rectify.calibration" }
+params = { points = [90, 40, 130, 90] }
+"""
+# For views that are rectified: no node between the source and what needs them so.
+COMPUTES_LEVEL = """
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+params = { search_px = 64, rectified_only = true }
+[nodes.points]
+type = "reproject"
+inputs = { image = "scope.left", disparity = "match.disparity", calibration = "scope.calibration" }
+[nodes.grid]
+type = "register_grid"
+inputs = { disparity = "match.disparity", calibration = "scope.calibration" }
+[nodes.show]
+type = "composite"
+inputs = { left = "scope.left", right = "scope.right", homography = "grid.homography" }
+[nodes.lengths]
+type = "measure"
+inputs = { cloud = "points.cloud", calibration = "scope.calibration" }
+params = { points = [90, 40, 130, 90] }
+[nodes.end]
+type = "drain"
+inputs = { image = "show.panorama" }
+"""
+PHANTOM = '[nodes.scope]\ntype = "phantom"\nparams = { width = 160, height = 120, LENS }\n'
+FILES = '[nodes.scope]\ntype = "capture"\nparams = { left = "raw/phantom.left/*.png", right = "raw/phantom.right/*.png", calibration = "scope.yml" }\n'
+
 
 def command(*words, cwd=None):
     """Runs the command; returns its exit code and what it printed."""
@@ -188,6 +231,65 @@ class BagTest(unittest.TestCase):
         self.assertAlmostEqual(calibration.baseline_mm, wanted.baseline_mm, places=6)
         self.assertEqual(calibration["left"]["fx"], wanted["left"]["fx"])
         np.testing.assert_allclose(calibration.right_from_left_mm, wanted.right_from_left_mm, atol=1e-6)
+
+    def compare_with_played(self, name, source, computes, output):
+        """The same graph on a source, and on the bag of its recording."""
+        head = 'mode = "batch"\nplugins = ["phantom", "capture", "ros2", "stereo", "stitch", "flow"]\n'
+        graph, bag = self.folder / f"{name}.toml", self.folder / f"{name}_bag"
+        recordings = [self.folder / f"{name}_{which}.mcap" for which in ("source", "played")]
+        graph.write_text(head + source + computes)
+        code, said = command("record", graph, "-o", recordings[0], "--frames", FRAMES, "--all-ports", "--headless")
+        self.assertEqual(code, 0, said)
+        code, said = command("export", recordings[0], "--ros2", bag, "--ports", "scope.left,scope.right,scope.calibration")
+        self.assertEqual(code, 0, said)
+        graph.write_text(head + f'[nodes.scope]\ntype = "ros2_bag"\nparams = {{ path = "{bag}" }}\n' + computes)
+        code, said = command("record", graph, "-o", recordings[1], "--all-ports", "--headless")
+        self.assertEqual(code, 0, said)
+        self.assertNotIn("calibration:", said)
+        own, played = map(ps.Recording, recordings)
+        self.assertEqual(own["scope.calibration"][0]["is_rectified"], played["scope.calibration"][0]["is_rectified"], name)
+        self.assertEqual(len(played[output]), FRAMES, said)
+        for one, other in zip(own[output], played[output]):
+            self.assertGreater(np.isfinite(one).mean(), 0.2)
+            # Metres and back: the last bits of a calibration differ, and so does a match here and there.
+            is_same = np.isclose(one, other, rtol=1e-4) | (np.isnan(one) & np.isnan(other))
+            self.assertGreater(is_same.mean(), 0.995)
+
+    def test_a_recording_that_is_exported_and_played_runs_its_graph(self):
+        for name, lens in (("pinhole", "seed = 3"), ("radial", "distortion_k1 = -0.1"), ("fisheye", 'lens = "equidistant", zoom = 0.6')):
+            self.compare_with_played(name, PHANTOM.replace("LENS", lens), COMPUTES, "points.depth")
+        self.compare_with_played("level", PHANTOM.replace("LENS", "seed = 3"), COMPUTES_LEVEL, "points.depth")
+
+    def test_cameras_of_a_file_without_a_rectification_are_exported_as_a_pair(self):
+        raw = ps.Graph(mode="batch")
+        raw.drain(raw.phantom(width=160, height=120, distortion_k1=-0.1).left)
+        raw.record(self.folder / "raw.mcap", all_ports=True).run(frames=FRAMES)
+        recording = ps.Recording(self.folder / "raw.mcap")
+        recording.to_folder(self.folder / "raw", ["phantom.left", "phantom.right", "phantom.calibration"])
+        text = (self.folder / "raw/phantom.calibration/000000.yml").read_text()
+        # The cameras and the pose between them alone, as OpenCV's calibration without its rectification.
+        kept = text[: text.index("R1:")]
+        self.assertIn("T:", kept)
+        (self.folder / "scope.yml").write_text(kept)
+        self.compare_with_played("bare", FILES, COMPUTES, "points.depth")
+
+    def test_rectified_views_of_a_recording_are_played_as_rectified(self):
+        graph = self.folder / "rectified.toml"
+        lens = PHANTOM.replace("LENS", "distortion_k1 = -0.1")
+        graph.write_text('mode = "batch"\nplugins = ["phantom", "stereo"]\n' + lens + COMPUTES)
+        code, said = command("record", graph, "-o", self.folder / "rectified.mcap", "--frames", FRAMES, "--all-ports", "--headless")
+        self.assertEqual(code, 0, said)
+        bag = self.folder / "rectified_bag"
+        code, said = command("export", self.folder / "rectified.mcap", "--ros2", bag, "--ports", "rectify")
+        self.assertEqual(code, 0, said)
+        text = f'mode = "batch"\nplugins = ["ros2", "stereo", "stitch", "flow"]\n[nodes.scope]\ntype = "ros2_bag"\nparams = {{ path = "{bag}" }}\n'
+        (self.folder / "rectified_played.toml").write_text(text + COMPUTES_LEVEL)
+        code, said = command("record", self.folder / "rectified_played.toml", "-o", self.folder / "played.mcap", "--all-ports", "--headless")
+        self.assertEqual(code, 0, said)
+        own, played = (ps.Recording(self.folder / f"{name}.mcap") for name in ("rectified", "played"))
+        self.assertEqual((played["scope.calibration"][0]["is_rectified"], len(played["points.depth"])), (1, FRAMES))
+        for one, other in zip(own["points.depth"], played["points.depth"]):
+            self.assertGreater((np.isclose(one, other, rtol=1e-4) | (np.isnan(one) & np.isnan(other))).mean(), 0.995)
 
     def write(self, name, *, compression=CompressionMode.NONE, storage=StoragePlugin.MCAP, frames=4):
         """A bag by rosbags, with pictures in other forms than ours."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypedDict, TypeVar, Union
 
-from . import _native, places
+from . import _native, cells, places
 from .errors import GraphError
 from .places import Place, Span
 
@@ -271,12 +271,32 @@ class Draft:
         """The file as mistakes name it, and the folder that relative paths start from."""
         self._name, self._mode = name, mode
         self._folders = [os.fspath(folder) for folder in plugin_paths]
-        self._catalogue = _native.Catalogue([self.base / folder for folder in self._folders])
+        self._classes: list[cells.Plugin] = []
+        """Plugins of node classes that are nodes of the graph."""
+        self._catalogue = self._search()
         self._described: dict[tuple[str, str], dict[str, Any]] = {}
         self._args: list[tuple[str, dict[str, Any]]] = []
         self._made: list[Made] = []
         self.version = 0
         """Counts changes."""
+
+    def _search(self) -> _native.Catalogue:
+        return _native.Catalogue([self.base / folder for folder in [*self._folders, *(plugin.folder for plugin in self._classes)]])
+
+    def take(self, cls: type) -> str:
+        """Makes the node type of a class known here; returns its name."""
+        plugin = cells.plugin_of(cls)
+        if plugin not in self._classes:
+            if any(known.stem == plugin.stem for known in self._classes):
+                raise GraphError(f"{cls.__name__} has changed since this graph got it: build the graph again")
+            self._classes.append(plugin)
+            self._catalogue = self._search()
+        return f"{plugin.stem}/{plugin.node_type}"
+
+    def write_classes(self, folder: Path) -> None:
+        """Writes the plugins of node classes where the graph is saved."""
+        for plugin in self._classes:
+            plugin.write_into(folder)
 
     def names(self) -> list[str]:
         """The node types of this machine."""
@@ -384,8 +404,8 @@ class Draft:
         return [places.moved_to(entry, span) for entry, span in located if span is not None and id(span) in of_node]
 
     def text(self, folder: Path | None = None) -> str:
-        """The text of the graph's file in ``folder``."""
-        return "\n".join(self._write((folder or self.base).resolve()).lines) + "\n"
+        """The text of the graph; of its file in ``folder``, where :meth:`write_classes` has written."""
+        return "\n".join(self._write((folder or self.base).resolve(), is_saved=folder is not None).lines) + "\n"
 
     def explained(self, error: GraphError) -> GraphError:
         """The error with its mistakes at the calls that they come from."""
@@ -396,14 +416,16 @@ class Draft:
         entries = [places.moved_to(entry, places.span_of(entry, str(self.path), writer.spans)) for entry in entries]
         return GraphError(places.render(entries), json.dumps(entries))
 
-    def _write(self, folder: Path) -> Writer:
+    def _write(self, folder: Path, is_saved: bool = False) -> Writer:
         writer = Writer()
         plugins = dict.fromkeys(plugin for made in self._made for plugin in made.plugins)
         if self._name:
             writer.line(f"name = {toml(self._name)}")
         writer.line(f"mode = {toml(self._mode)}")
-        if self._folders:
-            writer.line(f"plugin_paths = {toml([moved(path, self.base, folder, False) for path in self._folders])}")
+        paths = [moved(path, self.base, folder, False) for path in self._folders]
+        paths += ["." if is_saved and plugin.text is not None else str(plugin.folder) for plugin in self._classes]
+        if paths:
+            writer.line(f"plugin_paths = {toml(list(dict.fromkeys(paths)))}")
         writer.line(f"plugins = {toml(list(plugins))}")
         for name, facts in self._args:
             writer.line()

@@ -42,7 +42,7 @@ def _order(columns: Sequence[int], edges: Sequence[Edge]) -> list[list[int]]:
 
 
 def draw(nodes: Sequence[tuple[str, str]], edges: Sequence[Edge]) -> str:
-    """An SVG of nodes (name, type) and edges; a line that stays under the pointer names its output and input."""
+    """An SVG of nodes (name, type) and edges."""
     columns = _order(_columns(len(nodes), edges), edges)
     step = _ROW_PX + _GAP_PX
     tallest = max((len(column) for column in columns), default=0)
@@ -55,14 +55,13 @@ def draw(nodes: Sequence[tuple[str, str]], edges: Sequence[Edge]) -> str:
         x += width + _COLUMN_GAP_PX
     wide, high = x - _COLUMN_GAP_PX + _MARGIN_PX, _MARGIN_PX * 2 + step * tallest - _GAP_PX
     lines = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide:.0f}" height="{high:.0f}" font-family="sans-serif" font-size="12">']
-    for producer, output, consumer, input, is_delayed in edges:
+    for producer, _, consumer, _, is_delayed in edges:
         (left, top, width), (right, bottom, _) = boxes[producer], boxes[consumer]
         start, end, bend = left + width, right, _COLUMN_GAP_PX / 2
         y0, y1 = top + _ROW_PX / 2, bottom + _ROW_PX / 2
         dashes = ' stroke-dasharray="4 3"' if is_delayed else ""
         path = f"M{start:.0f} {y0:.0f} C{start + bend:.0f} {y0:.0f} {end - bend:.0f} {y1:.0f} {end:.0f} {y1:.0f}"
-        title = html.escape(f"{nodes[producer][0]}.{output} to {nodes[consumer][0]}.{input}")
-        lines.append(f'<path d="{path}" fill="none" stroke="#7a8794" stroke-width="1.5"{dashes}><title>{title}</title></path>')
+        lines.append(f'<path d="{path}" fill="none" stroke="#7a8794" stroke-width="1.5"{dashes}/>')
     for node, (left, top, width) in boxes.items():
         name, kind = (html.escape(text) for text in nodes[node])
         lines.append(

@@ -245,9 +245,15 @@ class Graph(NodeTypes):
             raise GraphError(f"{self.path} is a file: change it with an editor, or build a graph with `ps.Graph()`")
         return self._draft
 
-    def add(self, node_type: str, *inputs: Any, id: str | None = None, **values: Any) -> AnyNode:
-        """Adds a node of any type, such as one of a plugin of your own: ``graph.add("my_filter", views.left, strength=2)``."""
-        return self._built().maker(node_type)(*inputs, id=id, **values)
+    def add(self, node_type: str | type, *inputs: Any, id: str | None = None, **values: Any) -> AnyNode:
+        """Adds a node of any type, such as one of a plugin of your own: ``graph.add("my_filter", views.left, strength=2)``.
+
+        ``node_type`` may also be a class with ``@ps.node``, of a notebook's cell too. It runs in a process of its own, with a copy of the functions,
+        modules and plain values that it uses. :meth:`save` writes it next to the graph.
+        """
+        draft = self._built()
+        name = draft.take(node_type) if isinstance(node_type, type) else node_type
+        return draft.maker(name)(*inputs, id=id, **values)
 
     def part(self, file: str | os.PathLike[str], *, id: str | None = None, **values: Any) -> AnyNode:
         """Adds a part: a graph file with inputs, outputs and parameters."""
@@ -278,6 +284,7 @@ class Graph(NodeTypes):
         draft = self._built()
         with self._at_calls():
             self.native.check([], False)
+        draft.write_classes(file.parent)
         file.write_text(draft.text(file.parent), encoding="utf-8")
         return file
 

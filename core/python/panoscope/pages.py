@@ -72,7 +72,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], count: int) -> 
     shown = [row for _, row in zip(range(_MAX_ROWS), rows)]
     body = "".join(f"<tr>{''.join(f'<td>{html.escape(_number(cell))}</td>' for cell in row)}</tr>" for row in shown)
     more = f"<div>{count - len(shown)} more rows</div>" if count > len(shown) else ""
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+    return f'<div style="overflow-x: auto"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{more}'
 
 
 def of_table(value: Table) -> str:
@@ -150,9 +150,13 @@ def of_result(result: Result) -> str:
 
 def of_graph(graph: Graph) -> str:
     """The nodes and edges of a graph as a picture, its arguments and its outputs; of one with mistakes the mistakes."""
+    named: list[str] = []
     try:
         nodes, edges = graph.native.drawing()
-        picture = draw(nodes, edges)
+        # As an image: Jupyter removes elements of SVG from a notebook that it does not trust, and leaves their texts.
+        data = base64.b64encode(draw(nodes, edges).encode()).decode()
+        picture = f'<img style="max-width: none" src="data:image/svg+xml;base64,{data}">'
+        named = [f"{nodes[producer][0]}.{output} to {nodes[consumer][0]}.{input}" for producer, output, consumer, input, _ in edges]
         outputs = graph.outputs
     except PanoscopeError as error:
         picture, outputs = f"<pre>{html.escape(str(error))}</pre>", {}
@@ -161,6 +165,8 @@ def of_graph(graph: Graph) -> str:
     if arguments:
         rows = ([name, kind, "yes" if is_missing else "", doc] for name, kind, doc, is_missing in arguments)
         parts.append(table(["argument", "type", "must be given", ""], rows, len(arguments)))
+    if named:
+        parts.append(f"<details><summary>{len(named)} edges</summary>{'<br>'.join(map(html.escape, named))}</details>")
     if outputs:
         listed = "".join(f"<tr><td>{html.escape(name)}</td><td>{html.escape(packet)}</td></tr>" for name, packet in outputs.items())
         parts.append(f"<details><summary>{len(outputs)} outputs</summary><table>{listed}</table></details>")

@@ -58,7 +58,9 @@ impl Boxes {
         let text = std::fs::read_to_string(file).map_err(|error| wrong(&error))?;
         if is_yolo(file) {
             for object in labels::yolo(&text).map_err(|error| match error {
-                labels::LabelError::Line { line } => wrong(&format!("line {line}: {error}")),
+                labels::LabelError::Line { line } | labels::LabelError::NoShare { line, .. } => {
+                    wrong(&format!("line {line}: {error}"))
+                }
                 other => wrong(&other),
             })? {
                 let name = self.classes.get(object.class).cloned();

@@ -72,6 +72,8 @@ pub struct Capture {
     /// Numbers of the lost views, while something is lost. Empty when all views deliver, but frames that do not belong together.
     lost: Option<Vec<usize>>,
     sizes_warned: bool,
+    /// Size of the first frame of view 0.
+    first_size: Option<(usize, usize)>,
     damage_warned: bool,
     reconnects: u64,
     calibration: Option<Calibration>,
@@ -324,6 +326,7 @@ impl Capture {
             has_ended: false,
             lost: None,
             sizes_warned: false,
+            first_size: None,
             damage_warned: false,
             reconnects: 0,
             calibration,
@@ -372,6 +375,15 @@ impl Capture {
                 "the views differ in size ({}x{} and {}x{}): each is forwarded unchanged",
                 parts[0].rect.width, parts[0].rect.height, rect.width, rect.height
             ));
+        }
+        if let Some(Part { rect, .. }) = parts.first() {
+            let (width, height) = *self.first_size.get_or_insert((rect.width, rect.height));
+            if (rect.width, rect.height) != (width, height) && !std::mem::replace(&mut self.sizes_warned, true) {
+                cx.warn(&format!(
+                    "frame {} is {}x{}, those before it are {width}x{height}: each is forwarded unchanged",
+                    self.frame, rect.width, rect.height
+                ));
+            }
         }
         if let Some(arrived_ns) = self.arrived_ns {
             cx.metric("latency_ms", (clock() - arrived_ns) as f64 * 1e-6);

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use panoscope_abi::Calibration;
-use panoscope_data::calibration::ros::CameraInfo;
+use panoscope_data::calibration::ros::messages;
 use panoscope_data::calibration::{equidistant_of, packet, parse, read, text_of};
 
 const OPENCV: &str = "%YAML:1.0
@@ -191,8 +191,8 @@ fn an_equidistant_lens_is_read_and_written_in_all_formats_that_have_it() {
     let ros = parse(&[(a, &left), (b, &right)]).unwrap();
     assert_eq!((equidistant_of(&ros.left), equidistant_of(&ros.right), ros.is_rectified), (Some(k), Some(k), 0));
     // As a message, and back from it.
-    let message = CameraInfo::to_message(&ros.right, (&ros.rectified_from_right, &ros.right_projection));
-    assert_eq!((message.0, &message.1[..]), ("equidistant", &k[..]));
+    let [_, message] = messages(&ros);
+    assert_eq!((message.model, &message.d[..]), ("equidistant", &k[..]));
     // As OpenCV's file, bit by bit.
     assert!(packet::same(&one(&text_of(&ros)).unwrap(), &ros));
     let kalibr =
@@ -220,6 +220,24 @@ fn an_equidistant_lens_is_read_and_written_in_all_formats_that_have_it() {
     }
     let message = one(&opencv.replace("fisheye", "omni")).unwrap_err();
     assert!(message.contains("scope.yml:5:19: the distortion model `omni`"), "{message}");
+}
+
+#[test]
+fn files_of_ros_with_an_equidistant_lens_give_their_rays() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/foreign");
+    let files = ["left", "right"].map(|side| folder.join(format!("equidistant_{side}.yaml")));
+    if !files[0].exists() {
+        return panoscope_testing::skipped!("../shared/foreign is not there");
+    }
+    let read = read(&files).expect("a calibration");
+    assert_eq!(equidistant_of(&read.left), Some([0.01, -0.02, 0.001, 0.002]));
+    assert_eq!((read.left, read.is_rectified), (read.right, 0));
+    assert!((read.baseline_mm - 15.0).abs() < 1e-9, "{}", read.baseline_mm);
+    // By hand: 40 degrees from the axis, to the right; r = 750 (t + k1 t^3 + k2 t^5 + k3 t^7 + k4 t^9).
+    let t = 40_f64.to_radians();
+    let r = 750.0 * (t + 0.01 * t.powi(3) - 0.02 * t.powi(5) + 0.001 * t.powi(7) + 0.002 * t.powi(9));
+    let (u, v) = packet::camera(&read.left).expect("a lens").project(t.tan(), 0.0);
+    assert!((u - 320.0 - r).abs() < 1e-9 && (v - 240.0).abs() < 1e-9, "{u} {v}");
 }
 
 /// Left and right as MATLAB R2020a's `jsonencode(toStruct(stereoParams))` has them, without the views.

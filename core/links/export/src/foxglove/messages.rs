@@ -9,7 +9,7 @@ use foxglove::messages::{
 };
 use panoscope_abi as abi;
 use panoscope_base::packet::Detections;
-use panoscope_data::calibration::ros::CameraInfo;
+use panoscope_data::calibration::ros::messages;
 use panoscope_data::formats::array::{self, ArrayFormat};
 use panoscope_data::formats::{Pixels, still};
 
@@ -104,33 +104,19 @@ pub fn cloud(points: &[abi::CloudPoint], timestamp: Timestamp) -> PointCloud {
 
 /// Both cameras, left and right.
 pub fn cameras(calibration: &abi::Calibration, timestamp: Timestamp) -> [CameraCalibration; 2] {
-    let left = (&calibration.rectified_from_left, &calibration.left_projection);
-    let right = (&calibration.rectified_from_right, &calibration.right_projection);
-    [
-        camera(&calibration.left, frames::LEFT, left, timestamp),
-        camera(&calibration.right, frames::RIGHT, right, timestamp),
-    ]
-}
-
-fn camera(
-    camera: &abi::Camera,
-    frame: &str,
-    rectification: (&[f64; 9], &[f64; 12]),
-    timestamp: Timestamp,
-) -> CameraCalibration {
-    let (model, d, k, r, p) = CameraInfo::to_message(camera, rectification);
-    CameraCalibration {
+    let [left, right] = messages(calibration);
+    [(left, frames::LEFT), (right, frames::RIGHT)].map(|(camera, frame)| CameraCalibration {
         timestamp: Some(timestamp),
         frame_id: frame.to_owned(),
         width: camera.width,
         height: camera.height,
         // Foxglove has its own name for the lens.
-        distortion_model: if model == "equidistant" { "kannala_brandt" } else { model }.to_owned(),
-        d,
-        k: k.to_vec(),
-        r: r.to_vec(),
-        p: p.to_vec(),
-    }
+        distortion_model: if camera.model == "equidistant" { "kannala_brandt" } else { camera.model }.to_owned(),
+        d: camera.d,
+        k: camera.k.to_vec(),
+        r: camera.r.to_vec(),
+        p: camera.p.to_vec(),
+    })
 }
 
 /// A box on an image.

@@ -9,6 +9,8 @@ use super::fields::Fields;
 
 /// Maximum length of a record, bytes; twice an 8K image with four bytes per pixel.
 pub const MAX_RECORD_BYTES: u64 = 256 << 20;
+/// First bytes of a bag of ROS 1, which is no MCAP file.
+const ROS1_MAGIC: &[u8; 8] = b"#ROSBAG ";
 /// Bytes before the body of a record: its kind and its length.
 pub const HEAD_BYTES: usize = 9;
 /// Maximum number of channels and schemas of a file.
@@ -166,7 +168,12 @@ impl Scan {
     fn walk(&mut self, input: &mut BufReader<impl Read + Seek>) -> Result<End, ScanError> {
         let size = input.seek(SeekFrom::End(0))?;
         input.seek(SeekFrom::Start(0))?;
-        if bytes(input, 8)?[..] != *mcap::MAGIC {
+        let magic = bytes(input, 8)?;
+        if magic[..] == *ROS1_MAGIC {
+            self.channels.is_ros1 = true;
+            return Ok(End::Whole);
+        }
+        if magic[..] != *mcap::MAGIC {
             return Err(damaged("it does not begin like an MCAP file"));
         }
         let mut at = 8;

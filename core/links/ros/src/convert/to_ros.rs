@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use panoscope_abi as abi;
 use panoscope_base::View;
 use panoscope_base::packet;
-use panoscope_data::calibration::ros::CameraInfo as Info;
+use panoscope_data::calibration::ros::messages;
 use panoscope_data::formats::{Pixels, still};
 
 use crate::messages::{
@@ -82,23 +82,18 @@ pub fn jpeg_message(pixels: &Pixels<'_>, header: Header) -> std::io::Result<Comp
 
 /// The cameras, left and right.
 pub fn camera_infos(calibration: &abi::Calibration, capture_ns: i64) -> [CameraInfo; 2] {
-    let info = |camera: &abi::Camera, rectification, frame| {
-        let (model, d, k, r, p) = Info::to_message(camera, rectification);
-        CameraInfo {
-            header: header(capture_ns, frame),
-            height: camera.height,
-            width: camera.width,
-            distortion_model: model.to_owned(),
-            d,
-            k,
-            r,
-            p,
-            ..CameraInfo::default()
-        }
-    };
-    let left = (&calibration.rectified_from_left, &calibration.left_projection);
-    let right = (&calibration.rectified_from_right, &calibration.right_projection);
-    [info(&calibration.left, left, names::LEFT), info(&calibration.right, right, names::RIGHT)]
+    let [left, right] = messages(calibration);
+    [(left, names::LEFT), (right, names::RIGHT)].map(|(camera, frame)| CameraInfo {
+        header: header(capture_ns, frame),
+        height: camera.height,
+        width: camera.width,
+        distortion_model: camera.model.to_owned(),
+        d: camera.d,
+        k: camera.k,
+        r: camera.r,
+        p: camera.p,
+        ..CameraInfo::default()
+    })
 }
 
 /// A map of disparity. Without a calibration, focal length and baseline are 0.

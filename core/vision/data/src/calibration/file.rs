@@ -65,7 +65,7 @@ fn text_in(path: &Path) -> Result<String, FileError> {
         return Err(fail(format!("the file is larger than {} MB: it is no calibration", MAX_BYTES >> 20)));
     }
     let bytes = fs::read(path).map_err(|error| fail(error.to_string()))?;
-    String::from_utf8(bytes).map_err(|_| fail("this is no text: a calibration file is needed".to_owned()))
+    String::from_utf8(bytes).map_err(|_| fail("not text in UTF-8: a calibration file is needed".to_owned()))
 }
 
 /// Reads a calibration from the texts of its files; errors use the given names.
@@ -118,7 +118,7 @@ fn of_yaml(texts: &[(&Path, &str)]) -> Result<Calibration, FileError> {
     let first = texts.first().map_or(Path::new(""), |(path, _)| path);
     let blame = |(index, mistake): (usize, Mistake)| blame(texts, index, mistake);
     match &documents[..] {
-        [left, right] if ros::is(left) && ros::is(right) => ros::packet(left, right).map_err(blame),
+        [left, right] if ros::is(left) && ros::is(right) => ros::packet_of_files(left, right).map_err(blame),
         [one] if ros::is(one) => {
             let what = "this camera_info describes one camera: give the left and the right file";
             Err(Mistake::whole(what).in_file(first))

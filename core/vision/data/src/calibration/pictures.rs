@@ -116,8 +116,11 @@ pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) 
     // Names need not be UTF-8.
     let names: Vec<OsString> = entries.flatten().map(|e| e.file_name()).collect();
     let by_counter = counter(last).is_some();
+    // As in a shell, a pattern finds no hidden files: a Mac leaves `._name.png` next to each file of a foreign disk.
+    let is_hidden = |name: &OsString| name.as_encoded_bytes().starts_with(b".") && !last.starts_with('.');
     let matches = |name: &&OsString| {
         fits(Path::new(name))
+            && !is_hidden(name)
             && match by_counter {
                 true => matches_counter(last, &name.to_string_lossy()),
                 false => matches_glob(last.as_bytes(), name.as_encoded_bytes()),
@@ -125,7 +128,7 @@ pub fn numbered_files(pattern: &Path, what: &str, fits: impl Fn(&Path) -> bool) 
     };
     let mut found: Vec<&OsString> = names.iter().filter(matches).collect();
     if found.is_empty() {
-        let others: Vec<&OsString> = names.iter().filter(|name| fits(Path::new(name))).collect();
+        let others: Vec<&OsString> = names.iter().filter(|name| fits(Path::new(name)) && !is_hidden(name)).collect();
         let (what, count) = (what.to_owned(), others.len());
         return Err(match others.first() {
             Some(example) => PatternError::OtherNames { count, what, example: (*example).clone() },
@@ -163,6 +166,11 @@ mod tests {
         let in_order = [files[1].clone(), files[0].clone()];
         assert_eq!(image_files(&folder.join("*")).unwrap(), in_order);
         assert_eq!(image_files(&folder.join("?_*.png")).unwrap(), in_order);
+        // Hidden files are found only by patterns of hidden files.
+        let hidden = folder.join("._1.png");
+        fs::write(&hidden, b"").unwrap();
+        assert_eq!(image_files(&folder.join("*")).unwrap(), in_order);
+        assert_eq!(image_files(&folder.join("._*.png")).unwrap(), [hidden]);
         assert!(image_files(&folder.join("*.jpg")).unwrap_err().to_string().contains("2 images"));
         fs::remove_dir_all(&folder).unwrap();
     }

@@ -5,7 +5,7 @@ use panoscope_abi::{Calibration, Camera};
 use crate::calibration::EYE3;
 use crate::calibration::document::Node;
 use crate::calibration::error::Mistake;
-use crate::calibration::{EQUIDISTANT, equidistant, equidistant_of, no_camera_matrix};
+use crate::calibration::{EQUIDISTANT, equidistant, equidistant_of, no_camera_matrix, packet};
 
 const MM_PER_M: f64 = 1000.0;
 
@@ -166,31 +166,64 @@ impl CameraInfo {
             && near(p[2], cx)
             && near(p[6], cy)
     }
+}
 
-    /// The model and the matrices of a camera for a message: model, coefficients, K, R, P. Without a rectification in the calibration R is the
-    /// identity and P has the raw camera.
-    pub fn to_message(
-        camera: &Camera,
-        (rectified_from_camera, projection): (&[f64; 9], &[f64; 12]),
-    ) -> (&'static str, Vec<f64>, [f64; 9], [f64; 9], [f64; 12]) {
-        let Camera { fx, fy, cx, cy, distortion, .. } = *camera;
-        let used = distortion.iter().rposition(|value| *value != 0.0).map_or(0, |last| last + 1);
-        let (model, count) = match used {
-            _ if equidistant_of(camera).is_some() => (EQUIDISTANT[0], 4),
-            0..=5 => ("plumb_bob", 5),
-            6..=8 => ("rational_polynomial", 8),
-            9..=12 => ("rational_polynomial", 12),
-            _ => ("rational_polynomial", 14),
+/// The fields of a message `sensor_msgs/msg/CameraInfo` that describe a camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraMessage {
+    /// Rows.
+    pub height: u32,
+    /// Columns.
+    pub width: u32,
+    /// `plumb_bob`, `rational_polynomial` or `equidistant`.
+    pub model: &'static str,
+    /// Its coefficients.
+    pub d: Vec<f64>,
+    /// Camera matrix, by rows.
+    pub k: [f64; 9],
+    /// Rotation from the camera to the rectified one, by rows.
+    pub r: [f64; 9],
+    /// Projection of the rectified camera, by rows; the last column in px times m.
+    pub p: [f64; 12],
+}
+
+/// Both cameras for messages, left and right.
+///
+/// Messages have no other place for the pose between the cameras than R and P, so a calibration without a rectification gets one. A pair that cannot
+/// be rectified becomes two cameras that know nothing of each other: R is the identity, and P has the raw camera.
+pub fn messages(calibration: &Calibration) -> [CameraMessage; 2] {
+    let mut given = *calibration;
+    if !packet::states_rectification(calibration) {
+        given = match packet::rectification(calibration) {
+            Ok(rectification) => packet::with_rectification(calibration, &rectification),
+            Err(_) => {
+                let p = |c: &Camera| [c.fx, 0.0, c.cx, 0.0, 0.0, c.fy, c.cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+                let (left_projection, right_projection) = (p(&given.left), p(&given.right));
+                let (rectified_from_left, rectified_from_right) = (EYE3, EYE3);
+                Calibration { left_projection, right_projection, rectified_from_left, rectified_from_right, ..given }
+            }
         };
-        let (r, p) = if *projection == [0.0; 12] {
-            ([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
-        } else {
-            // The last column is that of a length: the offset of the cameras times the focal length.
-            let p = std::array::from_fn(|at| if at % 4 == 3 { projection[at] / MM_PER_M } else { projection[at] });
-            (*rectified_from_camera, p)
-        };
-        (model, distortion[..count].to_vec(), [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], r, p)
     }
+    [
+        message(&given.left, given.rectified_from_left, given.left_projection),
+        message(&given.right, given.rectified_from_right, given.right_projection),
+    ]
+}
+
+fn message(camera: &Camera, r: [f64; 9], mut p: [f64; 12]) -> CameraMessage {
+    let Camera { width, height, fx, fy, cx, cy, distortion } = *camera;
+    let used = distortion.iter().rposition(|value| *value != 0.0).map_or(0, |last| last + 1);
+    let (model, count) = match used {
+        _ if equidistant_of(camera).is_some() => (EQUIDISTANT[0], 4),
+        0..=5 => ("plumb_bob", 5),
+        6..=8 => ("rational_polynomial", 8),
+        9..=12 => ("rational_polynomial", 12),
+        _ => ("rational_polynomial", 14),
+    };
+    // The last column is that of a length: the offset of the cameras times the focal length.
+    [3, 7, 11].into_iter().for_each(|at| p[at] /= MM_PER_M);
+    let k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
+    CameraMessage { height, width, model, d: distortion[..count].to_vec(), k, r, p }
 }
 
 fn info(document: &Node) -> Result<CameraInfo, Mistake> {
@@ -225,7 +258,7 @@ fn info(document: &Node) -> Result<CameraInfo, Mistake> {
 }
 
 /// Converts a left and a right file to the packet; a mistake comes with the index of its file.
-pub(crate) fn packet(left: &Node, right: &Node) -> Result<Calibration, (usize, Mistake)> {
+pub(crate) fn packet_of_files(left: &Node, right: &Node) -> Result<Calibration, (usize, Mistake)> {
     Ok(pair(&info(left).map_err(|m| (0, m))?, &info(right).map_err(|m| (1, m))?))
 }
 
@@ -296,6 +329,27 @@ mod tests {
         let count = info(&[0.1], &EYE3, Window::default());
         assert!(matches!(count, Err(CameraInfoError::Coefficients { count: 1, .. })));
         assert_eq!(info(&[], &[0.0; 9], Window::default()), Err(CameraInfoError::NoRotation));
+    }
+
+    #[test]
+    fn the_pose_between_cameras_survives_messages() {
+        // Of files that state no rectification: a right camera turned by 0.02 rad about y.
+        let (sin, cos) = 0.02_f64.sin_cos();
+        let camera =
+            Camera { width: 640, height: 480, fx: 400.0, fy: 410.0, cx: 320.0, cy: 240.0, distortion: [0.0; 14] };
+        let turn = [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos];
+        let given = crate::calibration::packet_of([camera, camera], turn, [-15.0, 0.2, 0.1]);
+        let [left, right] = messages(&given).map(|m| {
+            CameraInfo::of_message((m.width, m.height), m.model, &m.d, (&m.k, &m.r, &m.p), Window::default()).unwrap()
+        });
+        let read = calibration(&left, &right).unwrap();
+        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        assert!(same(&read.right_from_left_rotation, &turn), "{read:?}");
+        assert!(same(&read.right_from_left_mm, &given.right_from_left_mm), "{read:?}");
+        assert_eq!((read.left, read.is_rectified), (given.left, 0));
+        // Cameras above one another are no pair of this program; each is described.
+        let [_, right] = messages(&Calibration { right_from_left_mm: [0.0, -15.0, 0.0], ..given });
+        assert_eq!((right.r, right.p[3], right.p[0]), (EYE3, 0.0, 400.0));
     }
 
     #[test]

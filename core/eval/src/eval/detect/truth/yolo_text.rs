@@ -41,7 +41,9 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
             String::new()
         };
         let wrong = |error: LabelError| match error {
-            LabelError::Line { line } => EvalError::Input { reason: format!("{}:{line}: {error}", label.display()) },
+            LabelError::Line { line } | LabelError::NoShare { line, .. } => {
+                EvalError::Input { reason: format!("{}:{line}: {error}", label.display()) }
+            }
             other => other.into(),
         };
         for object in labels::yolo(&text).map_err(wrong)? {

@@ -35,6 +35,14 @@ pub enum LabelError {
         /// Its content.
         text: String,
     },
+    /// Numbers of YOLO are px instead of shares of the image.
+    #[error("{value} is not a share of the image, 0 to 1: divide numbers in px by the image's width or height")]
+    NoShare {
+        /// The line, from 1.
+        line: usize,
+        /// The number.
+        value: String,
+    },
     /// A line of YOLO is neither a box nor a polygon.
     #[error("expected `class x y width height` or `class x y x y x y ...`")]
     Line {

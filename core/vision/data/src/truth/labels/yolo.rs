@@ -8,6 +8,9 @@ use super::LabelError;
 /// Upper bound of class numbers.
 const MAX_CLASSES: usize = 10_000;
 
+/// Numbers beyond are px. Boxes and outlines may reach a little beyond the image.
+const MAX_SHARE: f64 = 2.0;
+
 /// Shape of an object.
 #[derive(Clone, Debug, PartialEq)]
 pub enum YoloShape {
@@ -48,7 +51,7 @@ impl YoloObject {
 /// Reads the text of a file of labels.
 ///
 /// # Errors
-/// A line is neither a box nor a polygon.
+/// A line is neither a box nor a polygon, or has px instead of shares.
 pub fn yolo(text: &str) -> Result<Vec<YoloObject>, LabelError> {
     let mut objects = Vec::new();
     for (index, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
@@ -57,6 +60,9 @@ pub fn yolo(text: &str) -> Result<Vec<YoloObject>, LabelError> {
         let values = values
             .filter(|v| v.len() >= 5 && v.len() % 2 == 1 && (0.0..MAX_CLASSES as f64).contains(&v[0]))
             .ok_or(LabelError::Line { line: index + 1 })?;
+        if let Some(value) = values[1..].iter().find(|value| value.abs() > MAX_SHARE) {
+            return Err(LabelError::NoShare { line: index + 1, value: value.to_string() });
+        }
         let shape = match values[..] {
             [_, x, y, w, h] => YoloShape::Box([x - w / 2.0, y - h / 2.0, w, h]),
             _ => YoloShape::Polygon(values[1..].as_chunks::<2>().0.to_vec()),
@@ -123,6 +129,8 @@ mod tests {
         for wrong in ["0 1 2 3", "a 1 2 3 4", "0 1 2 3 4 5", "-1 1 2 3 4", "0 1 2 3 inf"] {
             assert_eq!(yolo(&format!("\n{wrong}")), Err(LabelError::Line { line: 2 }), "{wrong}");
         }
+        assert_eq!(yolo("\n0 30 0.5 0.1 0.1"), Err(LabelError::NoShare { line: 2, value: "30".to_owned() }));
+        assert!(yolo("0 1.01 0.99 0.1 0.1").is_ok());
     }
 
     #[test]
