@@ -205,6 +205,17 @@ class Runs(Case):
             parent.wait()
             _wait_for(lambda: not any(_is_alive(child) for child in children))
 
+    def test_what_a_killed_driver_leaves_is_removed(self) -> None:
+        rows = [{"clip": self.clip(1)}]
+        for call, place in (("replace", "study.json"), ("rename", "/runs/"), ("replace", "runs.parquet")):
+            dying = f"import os; real = os.{call}; os.{call} = lambda one, two: os._exit(9) if {place!r} in str(two) else real(one, two)"
+            run = f"{dying}; import panoscope as ps; ps.batch({str(self.graph)!r}, {rows!r}, {str(self.folder / 'study')!r}, threads=1)"
+            self.assertEqual(subprocess.run([sys.executable, "-c", run]).returncode, 9, place)
+        study = self.batch("study", rows)
+        self.assertEqual(study.counts["kept"], 1)
+        self.assertEqual(list((study.folder / "tmp").iterdir()), [])
+        self.assertEqual([file.name for file in study.folder.rglob("*") if "part" in file.name], [])
+
     def test_two_drivers_do_not_share_a_study(self) -> None:
         with Store(self.folder / "study").lock(), self.assertRaisesRegex(ps.StudyError, f"is being run by process {os.getpid()}"):
             self.batch("study", self.table(1))
@@ -278,7 +289,7 @@ class Reports(Case):
             rows.append({**row, "judge.bad2_pct.mean": value + shift + chance.gauss(0.0, 0.1), "judge.bad2_pct.count": 20})
         rows[7] = {**rows[7], "status": "failed", "error": "error: <no> camera", "judge.bad2_pct.mean": None}
         folder = self.folder / out
-        table.write_rows(rows, folder / "table" / "runs.parquet")
+        table.write_rows(rows, Store(folder), table.RUNS_FILE)
         (folder / "study.json").write_text(json.dumps({"graph": "g.toml", "columns": ["patient"], "sweep": {}, "hashes": {}}))
         return folder
 

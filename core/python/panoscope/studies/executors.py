@@ -72,6 +72,10 @@ class Dask:
         self._known: set[str] = set()
         self._removed: set[str] = set()
         self._began: dict[tuple[str, str], float] = {}
+        self._heard: dict[str, tuple[float, float]] = {}
+        """When the scheduler heard last from a worker, by its clock, and since when that is so, by this process's."""
+        self._limited: dict[Handle, set[str]] = {}
+        """Workers that may do a run, where not all may."""
         self._looked = 0.0
         self._submitted = 0
         self.window = 2
@@ -91,11 +95,17 @@ class Dask:
         """Starts a run on a worker that is not avoided."""
         self._submitted += 1
         key = f"panoscope-{task['key']}-{os.getpid()}-{self._submitted}"
-        allowed = self._allowed() if self._avoided else None
-        return self._client.submit(worker.run, task, pure=False, key=key, workers=allowed)
+        allowed = (self._allowed() if self._avoided else None) or None
+        handle = self._client.submit(worker.run, task, pure=False, key=key, workers=allowed)
+        if allowed:
+            self._limited[handle] = set(allowed)
+        return handle
 
     def wait(self, pending: Iterable[Handle], timeout_s: float) -> set[Handle]:
-        """Those that are over."""
+        """Those that are over, or would wait for ever: for workers that are gone, while others have come."""
+        stranded = {handle for handle, allowed in self._limited.items() if not allowed & self._known}
+        if stranded:
+            return stranded
         try:
             return set(self._distributed.wait(list(pending), timeout_s, "FIRST_COMPLETED").done)
         except (TimeoutError, self._distributed.TimeoutError):
@@ -103,6 +113,10 @@ class Dask:
 
     def outcome(self, handle: Handle) -> Outcome:
         """What became of a run; a task that Dask gave up is a lost run."""
+        allowed = self._limited.pop(handle, None)
+        if allowed is not None and not allowed & self._known:
+            handle.cancel()
+            raise StudyError("the workers that it was for are gone")
         result: Outcome = handle.result()
         return result
 
@@ -121,11 +135,10 @@ class Dask:
 
     def _hung(self, workers: dict[str, Any], now: float) -> dict[str, str]:
         """Workers that do not answer, and those whose runs go on for longer than any may."""
-        hung = {
-            address: f"said nothing for {time.time() - facts['last_seen']:.0f} s"
-            for address, facts in workers.items()
-            if time.time() - facts["last_seen"] > self._silent_s
-        }
+        # The clocks of the machines may differ: only whether the scheduler's changes counts.
+        news = {address: (float(facts["last_seen"]), now) for address, facts in workers.items()}
+        self._heard = {address: old if (old := self._heard.get(address, new))[0] == new[0] else new for address, new in news.items()}
+        hung = {address: f"said nothing for {now - since:.0f} s" for address, (_, since) in self._heard.items() if now - since > self._silent_s}
         under_way = {(address, str(key)) for address, keys in self._client.processing().items() for key in keys}
         self._began = {one: self._began.get(one, now) for one in under_way}
         for (address, _), began in self._began.items():

@@ -188,7 +188,8 @@ def _attempt(task: Task, store: Store, scratch: Path) -> Outcome:
     facts = {"stats": stats(task["inputs"])}
     known = store.result(key)
     if known is not None and known["hashes"] == hashes:
-        write_json(store.run(key) / INPUTS, facts)
+        with store.replacing(store.run(key) / INPUTS) as file:
+            write_json(file, facts)
         return outcome(KEPT)
     (scratch / FILES).mkdir()
     ended = process.run(_command(task, scratch), scratch / LOG, task["max_s"], task["max_memory_mb"])
