@@ -296,20 +296,33 @@ class Reports(Case):
     def test_means_have_their_intervals_and_pairs_show_small_differences(self) -> None:
         first, second = statistics.Table(self.study("first", 0.0)), statistics.Table(self.study("second", 0.1))
         measure = "judge.bad2_pct"
-        (summary,) = first.summaries(measure, ())
+        found = statistics.Measure(first, measure, ["patient"])
+        summary = found.summary()
         column = polars.read_parquet(first.file).filter(polars.col("status") == "done")[f"{measure}.mean"]
         self.assertEqual(summary.interval.count, 199)
         self.assertAlmostEqual(summary.interval.mean, column.mean(), 9)
         self.assertAlmostEqual(summary.interval.half_width, 1.97202 * column.std() / 199**0.5, 4)
-        pair = statistics.paired(first, second, measure, False)
+        pair = statistics.Pairs(first, second).compare(measure, False)
         # By itself each mean is too uncertain.
         self.assertLess(abs(pair.difference.mean), summary.interval.half_width)
         self.assertTrue(pair.is_significant)
-        self.assertFalse(statistics.paired(first, first, measure, False).is_significant)
-        self.assertEqual(len(first.summaries(measure, ["patient"])), 4)
-        self.assertEqual(sum(first.histogram(measure)[2]), 199)
-        worst = first.worst(measure, 3, False)
+        self.assertFalse(statistics.Pairs(first, first).compare(measure, False).is_significant)
+        self.assertEqual([group.group for group in found.groups()], [(f"p{number}",) for number in range(4)])
+        self.assertEqual(sum(group.interval.count for group in found.groups()), 199)
+        low, high, counts = found.histogram()
+        self.assertEqual((low, high, sum(counts)), (column.min(), column.max(), 199))
+        self.assertEqual(counts[0], sum(value < low + (high - low) / 40 for value in column))
+        self.assertAlmostEqual(summary.median, column.median(), 12)
+        worst = found.worst(3, False)
         self.assertEqual([row["value"] for row in worst], sorted(column, reverse=True)[:3])
+        rows = {row["run"]: row for row in polars.read_parquet(first.file).to_dicts()}
+        self.assertTrue(all(rows[row["run"]][f"{measure}.mean"] == row["value"] for row in worst))
+        # Also where the runs stand in another order.
+        frame = polars.read_parquet(second.file)
+        frame.sort(f"{measure}.mean", descending=True).drop("number").with_row_index("number", 1).write_parquet(second.file)
+        joined = statistics.Pairs(first, statistics.Table(second.folder)).compare(measure, False)
+        self.assertAlmostEqual(joined.difference.half_width, pair.difference.half_width, 9)
+        self.assertEqual((joined.difference.count, joined.better_share), (199, pair.better_share))
 
     def test_quantiles_of_students_distribution(self) -> None:
         for freedom, quantile in ((1, 12.7062), (4, 2.7764), (5, 2.5706), (9, 2.2622), (29, 2.0452), (199, 1.97196), (10**7, 1.95996)):
