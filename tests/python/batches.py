@@ -4,6 +4,7 @@
 """
 
 import csv
+import io
 import json
 import os
 import random
@@ -12,17 +13,20 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import unittest
 from pathlib import Path
 from typing import Any, Optional
+from unittest import mock
 
+import fsspec
 import polars
 import pyarrow.parquet as parquet
 from PIL import Image
 
 import panoscope as ps
-from panoscope.studies import plan, process, statistics, table, values
+from panoscope.studies import plan, process, statistics, table, values, worker
 from panoscope.studies.store import Store
 
 COMMAND = os.environ["PANOSCOPE_BIN"]
@@ -121,6 +125,7 @@ class Plans(Case):
             ([], {}, "no input"),
             ([{"patient": "p1"}], {}, "the graph needs the arguments clip: the table has the columns patient"),
             ([{"clip": ""}], {}, "`clip` is empty in rows 1"),
+            ([{**rows[0], "status": "healthy"}], {}, "`status` is a column that results have"),
             (rows, {"sweep": {"light.gain": [99]}}, "gain"),
             (rows, {"sweep": {"light.gain": (1, 2)}}, "from, to, steps"),
             (rows, {"args": {"clip": "a.mkv"}}, "leave one of them out"),
@@ -140,7 +145,7 @@ class Runs(Case):
         self.assertEqual([(row["patient"], row["light.gain"]) for row in rows], [("p1", 1.0), ("p1", 2.0), ("p2", 1.0), ("p2", 2.0)])
         self.assertEqual([row["light.level.mean"] for row in rows], [11.0, 22.0, 21.0, 42.0])
         self.assertTrue(all(row["status"] == "done" and row["frames"] == 3 and row["light.level.count"] == 3 for row in rows))
-        self.assertTrue(all(rows[0][f"{name}_hash"] for name in table.HASHES))
+        self.assertTrue(all(rows[0][name] for name in plan.HASHES))
         self.assertNotEqual(rows[0]["inputs_hash"], rows[2]["inputs_hash"])
         ticks = parquet.read_table(study.table / "ticks.parquet")
         self.assertEqual((ticks["tick"].to_pylist()[:3], ticks["light.level"].to_pylist()[:6]), ([0, 1, 2], [10.0, 11.0, 12.0, 20.0, 22.0, 24.0]))
@@ -193,6 +198,62 @@ class Runs(Case):
         self.assertIn("longer than the limit of 0.4 s", min(study.failures.values()))
         study = self.batch("large", rows, max_memory_mb=4)
         self.assertIn("more memory than the limit of 4 MB", min(study.failures.values()))
+
+    def test_inputs_of_stores_are_copied_for_their_run_and_hashed(self) -> None:
+        system = fsspec.filesystem("memory")
+        self.addCleanup(system.rm, "/archive", recursive=True)
+
+        def put(operation: int, light: int) -> None:
+            stream = io.BytesIO()
+            Image.new("L", (32, 24), light).save(stream, "PNG")
+            system.pipe(f"/archive/{operation}/clip.png", stream.getvalue())
+
+        for operation in (1, 2):
+            put(operation, 10 * operation)
+        inputs = {"clip": "memory://archive/{operation}/clip.png"}
+        study = self.batch("study", inputs)
+        self.assertEqual(dict(study.counts), {"done": 2, "open": 0}, study.failures)
+        rows = self.rows("study")
+        self.assertEqual([(row["operation"], row["light.level.mean"]) for row in rows], [(1, 10.0), (2, 20.0)])
+        self.assertNotEqual(rows[0]["inputs_hash"], rows[1]["inputs_hash"])
+        # No copy stays.
+        self.assertEqual([file.name for file in study.folder.rglob("clip.png")], [])
+        put(2, 77)
+        self.assertEqual(dict(self.batch("study", inputs).counts), {"kept": 1, "done": 1, "open": 0})
+        self.assertEqual([row["light.level.mean"] for row in self.rows("study")], [10.0, 77.0])
+        # The same bytes have the same hash wherever they lie.
+        system.get("/archive/1/clip.png", str(self.folder / "clip.png"))
+        local = self.batch("local", {"clip": f"file://{self.folder}/{{name}}.png"})
+        self.assertEqual(dict(local.counts), {"done": 1, "open": 0}, local.failures)
+        self.assertEqual(self.rows("local")[0]["inputs_hash"], rows[0]["inputs_hash"])
+        system.rm("/archive/2", recursive=True)
+        study = self.batch("study", [{"clip": f"memory://archive/{operation}/clip.png"} for operation in (1, 2)])
+        self.assertEqual((study.counts["kept"] + study.counts["done"], study.counts["failed"]), (1, 1))
+        self.assertIn("archive/2/clip.png", min(study.failures.values()))
+
+    def test_the_next_run_is_prepared_while_one_goes_on(self) -> None:
+        prepared, going = threading.Semaphore(0), [0, 0]
+        hash_of_inputs, run = worker.hash_of_inputs, process.run
+
+        def hashed(paths: Any) -> str:
+            prepared.release()
+            return hash_of_inputs(paths)
+
+        def ran(*arguments: Any) -> process.Ended:
+            going[0] += 1
+            going[1] = max(going)
+            # The first run waits for its own inputs and for those of the second.
+            if not started:
+                started.append(True)
+                self.assertTrue(all(prepared.acquire(timeout=MAX_S) for _ in range(2)))
+            ended = run(*arguments)
+            going[0] -= 1
+            return ended
+
+        started: list[bool] = []
+        with mock.patch.object(worker, "hash_of_inputs", hashed), mock.patch.object(process, "run", ran):
+            study = self.batch("study", self.table(3), jobs=1)
+        self.assertEqual((study.counts["done"], going), (3, [0, 1]), study.notes)
 
     def test_a_run_of_a_killed_driver_ends_with_it(self) -> None:
         words = [COMMAND, "run", str(self.graph), "--clip", self.clip(1), "--again=true", "--headless", "--unpaced"]

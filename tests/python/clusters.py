@@ -252,11 +252,14 @@ class Clusters(unittest.TestCase):
             executor = executors.Dask(client, MAX_S, MAX_S)
             self.assertTrue(executor.avoid(unfit))
             client.retire_workers([fit], close_workers=True)
+            handle = executor.submit(cast(worker.Task, {"key": "0"}))
+            over: set[Any] = set()
+            until = time.monotonic() + MAX_S
+            while time.monotonic() < until and not over:
+                executor.look()
+                over = executor.wait([handle], 0.1)
+            self.assertEqual(over, {handle})
             with self.assertRaisesRegex(ps.StudyError, "the workers that it was for are gone"):
-                handle = executor.submit(cast(worker.Task, {"key": "0"}))
-                until = time.monotonic() + MAX_S
-                while time.monotonic() < until and not executor.wait([handle], 0.1):
-                    executor.look()
                 executor.outcome(handle)
 
     def compare(self, study: ps.Study) -> None:

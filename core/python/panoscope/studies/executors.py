@@ -25,17 +25,20 @@ _LOOK_S = 2.0
 
 
 class Local:
-    """An executor of ``concurrent.futures``; without one, threads that start a process per run."""
+    """An executor of ``concurrent.futures``; without one, threads that start a process per run.
+
+    One thread more than processes: it hashes the inputs of the next run and writes the row of the last one while the others go on.
+    """
 
     def __init__(self, executor: Optional[concurrent.futures.Executor] = None, jobs: int = 1) -> None:
-        self._is_own = executor is None
-        self._executor = executor or concurrent.futures.ThreadPoolExecutor(jobs, "panoscope-run")
-        slots = getattr(self._executor, "_max_workers", None) or os.cpu_count() or 1
-        self.window = 2 * int(slots)
+        self._slots = process.Slots(jobs) if executor is None else None
+        self._executor = executor or concurrent.futures.ThreadPoolExecutor(jobs + 1, "panoscope-run")
+        workers = getattr(self._executor, "_max_workers", None) or os.cpu_count() or 1
+        self.window = 2 * int(workers)
 
     def submit(self, task: Task) -> Handle:
         """Starts a run."""
-        return self._executor.submit(worker.run, task)
+        return self._executor.submit(worker.run, task, *([self._slots] if self._slots else []))
 
     def wait(self, pending: Iterable[Handle], timeout_s: float) -> set[Handle]:
         """Those that are over; waits until there is one, but not longer than ``timeout_s``."""
@@ -56,8 +59,9 @@ class Local:
 
     def close(self) -> None:
         """Ends the runs that are under way."""
-        if self._is_own:
+        if self._slots:
             self._executor.shutdown(wait=False, cancel_futures=True)
+            self._slots.close()
             process.end_all()
             self._executor.shutdown()
 

@@ -17,15 +17,19 @@ from .store import LOG, MARK, Store, StudyError, read_json
 
 _WORST = 10
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
-_MAX_PICTURES, _MAX_PICTURE_BYTES = 12, 300_000
-"""Pictures of worst runs on a page, and size of each; larger ones are links."""
+_LONG = 60
+"""Characters of a text that gets several lines."""
+_PICTURED = 3
+"""Runs of a list that have their picture, unless it is on the page already."""
+_MAX_PICTURES, _MAX_PICTURE_BYTES = 40, 300_000
+"""Pictures on a page, and size of each; larger ones are links."""
 _MAX_GROUPS = 60
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1c2430; background: #fff; max-width: 70rem; margin: 2rem auto; padding: 0 1.2rem }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2.2rem; border-top: 1px solid #d5dbe3; padding-top: 1rem } h3 { font-size: 1rem }
 div.wide { overflow-x: auto; margin: .8rem 0 } table { border-collapse: collapse; font-variant-numeric: tabular-nums }
 th, td { padding: .2rem .7rem; text-align: right; vertical-align: top; white-space: nowrap; border-bottom: 1px solid #e6eaef } th { color: #54606e; font-weight: 600 }
-.text { text-align: left; white-space: normal; min-width: 5rem; max-width: 34rem; overflow-wrap: anywhere } svg { max-width: 100%; height: auto }
+.text { text-align: left } .long { white-space: normal; min-width: 20rem; max-width: 34rem; overflow-wrap: break-word } svg { max-width: 100%; height: auto }
 .better { color: #14713d } .worse { color: #b3261e } .note { color: #54606e } figure { display: inline-block; margin: .5rem .8rem .5rem 0 }
 figure img { max-width: 20rem; max-height: 14rem; display: block } figcaption { color: #54606e; font-size: .85rem }
 """
@@ -35,14 +39,21 @@ def number(value: Any) -> str:
     """A number with the digits that a person reads."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "unknown"
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e12 else f"{value:.4g}"
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: Iterable[int] = (0,)) -> str:
     """A table; cells are HTML already. Columns ``texts`` hold texts, the others numbers."""
-    kinds = [" class=text" if index in set(texts) else "" for index in range(len(head))]
-    names = "".join(f"<th{kind}>{html.escape(name)}</th>" for kind, name in zip(kinds, head))
-    body = "".join("<tr>" + "".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(kinds, row)) + "</tr>" for row in rows)
+    wide = set(texts)
+
+    def line(kind: str, cells: Sequence[str]) -> str:
+        classes = (("text long" if len(cell) > _LONG and not cell.startswith("<") else "text") if index in wide else "number" for index, cell in enumerate(cells))
+        return "".join(f'<{kind} class="{name}">{cell}</{kind}>' for name, cell in zip(classes, cells))
+
+    body = "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
+    names = line("th", [html.escape(name) for name in head])
     return f"<div class=wide><table><thead><tr>{names}</tr></thead><tbody>{body}</tbody></table></div>"
 
 
@@ -85,7 +96,7 @@ class _Page:
     def __init__(self, page: Path, tables: Sequence[Table], measures: Sequence[str], by: Sequence[str], larger: Sequence[str], smaller: Sequence[str]) -> None:
         self.page, self.tables, self.measures, self.by = page, tables, measures, by
         self.larger, self.smaller = larger, smaller
-        self.pictures = 0
+        self.pictured: set[Path] = set()
         self.pairs: dict[str, Paired] = {}
 
     def head(self, table: Table) -> str:
@@ -113,10 +124,13 @@ class _Page:
     def measure(self, name: str) -> str:
         """Numbers, distribution and worst runs of a measure; of the second study, where two are compared."""
         measure, is_larger = Measure(self.tables[-1], name, self.by), is_larger_better(name, self.larger, self.smaller)
-        parts = [f"<h2>{html.escape(name)}</h2>", _summaries([measure.summary()], ()), _histogram(*measure.histogram())]
+        low, high, counts = measure.histogram()
+        title = f"{name} of {self.tables[-1].folder.name}" if len(self.tables) == 2 else name
+        parts = [f"<h2>{html.escape(title)}</h2>", _summaries([measure.summary()], ()), _histogram(low, high, counts)]
         if self.by:
             parts.append(_summaries(measure.groups(), self.by))
-        parts.append(f"<h3>Worst runs ({'less' if is_larger else 'more'} is worse)</h3>" + self.worst(measure, name, is_larger))
+        if low < high:
+            parts.append(f"<h3>Worst runs ({'less' if is_larger else 'more'} is worse)</h3>" + self.worst(measure, name, is_larger))
         if len(self.tables) == 2:
             parts.append(self.losses(name))
         return "".join(parts)
@@ -141,7 +155,7 @@ class _Page:
         """Links to the worst runs, and their pictures."""
         table = self.tables[-1]
         rows = measure.worst(_WORST, is_larger, [*self.described(table), "files"])
-        pictures = [self.picture(table, row, number(row["value"])) for row in rows]
+        pictures = [self.picture(table, row, number(row["value"])) for row in rows[:_PICTURED]]
         return self.runs(table, [name], [(row, [row["value"]]) for row in rows]) + "".join(pictures)
 
     def losses(self, name: str) -> str:
@@ -152,7 +166,7 @@ class _Page:
         known = first.rows([position for position, _, _ in losses], ["run", *self.described(first), "files"])
         rows = [(known[position], [a, b, b - a]) for position, a, b in losses]
         pictures = []
-        for row, (a, b, _) in rows:
+        for row, (a, b, _) in rows[:_PICTURED]:
             shown = [self.picture(table, row, f"{table.folder.name}: {number(value)}") for table, value in ((first, a), (second, b))]
             pictures.append(f"<div>{''.join(shown)}</div>" if any(shown) else "")
         head = [first.folder.name, second.folder.name, "difference"]
@@ -161,9 +175,9 @@ class _Page:
     def picture(self, table: Table, row: dict[str, Any], caption: str) -> str:
         """The last picture that a run wrote; the other study has it under the same name."""
         of_run = [file for file in row.get("files") or [] if Path(file).suffix.lower() in _PICTURES]
-        if not of_run or self.pictures >= _MAX_PICTURES:
-            return ""
         folder, run = Store(table.folder).run(row["run"]), f"{row['run']}, {html.escape(caption)}"
+        if not of_run or folder in self.pictured or len(self.pictured) >= _MAX_PICTURES:
+            return ""
         file = folder / of_run[-1]
         try:
             data = file.read_bytes() if file.stat().st_size <= _MAX_PICTURE_BYTES else b""
@@ -171,7 +185,7 @@ class _Page:
             return ""
         if not data:
             return f'<figure><figcaption><a href="{_link(self.page, file)}">{html.escape(of_run[-1])}</a> of {run}</figcaption></figure>'
-        self.pictures += 1
+        self.pictured.add(folder)
         source = f"data:{_PICTURES[file.suffix.lower()]};base64,{base64.b64encode(data).decode()}"
         return f'<figure><a href="{_link(self.page, folder)}"><img src="{source}" alt="{html.escape(of_run[-1])}"></a><figcaption>{run}</figcaption></figure>'
 

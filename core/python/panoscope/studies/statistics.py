@@ -18,8 +18,8 @@ _Z_975 = 1.959964
 BINS = 40
 SHARES = (0.05, 0.5, 0.95)
 _ROWS_AT_ONCE = 1_000_000
-LARGER = ("ap50", "precision", "recall", "coverage", "inliers", "density", "confidence", "fps", "hz")
-"""Parts of the names of measures of which more is better."""
+LARGER = ("ap50", "precision", "recall", "coverage", "inliers", "density", "confidence", "fps", "_hz")
+"""Parts of the names of measures of which more is better; those of `panoscope sweep`."""
 
 
 def t_975(freedom: int) -> float:
@@ -144,9 +144,10 @@ class Measure:
 
     def __init__(self, table: Table, name: str, by: Sequence[str] = ()) -> None:
         self.table, self.by = table, list(by)
-        # Runs without a value keep their row: its position is the number of the run.
-        self._rows = table.frame.select(table.value(name), *(table.pl.col(column).alias(f"by {column}") for column in by)).collect()
-        self._ordered = self._rows["value"].drop_nulls().sort()
+        columns = [table.value(name), *(table.pl.col(column).alias(f"by {column}") for column in by)]
+        rows = table.frame.select(columns).with_row_index("number", 1).filter(table.pl.col("value").is_not_null())
+        self._rows = rows.collect(engine="streaming")
+        self._ordered = self._rows["value"].sort()
 
     def summary(self) -> Summary:
         """Over all runs."""
@@ -156,9 +157,9 @@ class Measure:
     def groups(self) -> list[Summary]:
         """Over the runs of each group."""
         value, names = self.table.pl.col("value"), [f"by {column}" for column in self.by]
-        facts = [value.count().alias("count"), value.mean().alias("mean"), value.std().alias("deviation")]
+        facts = [value.len().alias("count"), value.mean().alias("mean"), value.std().alias("deviation")]
         facts += [value.quantile(share, "linear").alias(f"{share}") for share in SHARES]
-        found = self._rows.group_by(names).agg(facts).filter(self.table.pl.col("count") > 0).sort(names)
+        found = self._rows.group_by(names).agg(facts).sort(names)
         split = [(row[: len(names)], row[len(names) :]) for row in found.rows()]
         return [_summary(group, count, mean, deviation, quantiles) for group, (count, mean, deviation, *quantiles) in split]
 
@@ -177,10 +178,9 @@ class Measure:
         most = min(most, len(ordered))
         if not most:
             return []
-        values = self._rows["value"]
-        numbers = (values <= ordered[most - 1] if is_larger else values >= ordered[-most]).arg_true()
-        found = self.table.pl.DataFrame({"number": numbers + 1, "value": values.gather(numbers)})
-        found = found.sort(["value", "number"], descending=[not is_larger, False]).head(most)
+        value = self.table.pl.col("value")
+        worst = self._rows.filter(value <= ordered[most - 1] if is_larger else value >= ordered[-most]).select("number", "value")
+        found = worst.sort(["value", "number"], descending=[not is_larger, False]).head(most)
         facts = self.table.rows(found["number"].to_list(), ["run", *more])
         return [{**facts[row["number"]], **row} for row in found.to_dicts()]
 

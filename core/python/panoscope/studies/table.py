@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ..columns import needed
-from .plan import Run
+from .plan import HASHES, Run
 from .store import TICKS, Store, read_json
 from .values import number
 from .worker import STATISTICS
 
 OPEN = "open"
 RUNS_FILE, TICKS_FILE, ATTEMPTS_FILE = "runs.parquet", "ticks.parquet", "attempts.parquet"
-HASHES = ("graph", "plugins", "models", "request", "inputs")
 _GROUP_ROWS = 100_000
 
 
@@ -30,7 +29,7 @@ def row_of(run: Run, position: int, result: Mapping[str, Any], hashes: Mapping[s
     row: dict[str, Any] = {"run": run.key, "number": position, "status": result.get("status", OPEN), "error": result.get("error")}
     row.update(_cells(run))
     known = result.get("hashes", hashes)
-    row.update({f"{name}_hash": known.get(name) for name in HASHES})
+    row.update({name: known.get(name.removesuffix("_hash")) for name in HASHES})
     row.update({"frames": result.get("frames"), "failed_calls": result.get("failed_calls")})
     row["files"] = list(result.get("files", []))
     for measure, values in sorted(result.get("measures", {}).items()):
