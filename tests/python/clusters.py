@@ -8,11 +8,13 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import unittest
 from pathlib import Path
 from typing import Any, Optional, cast
 
+import dask
 import distributed
 import pyarrow.parquet as parquet
 from PIL import Image
@@ -131,6 +133,7 @@ class Clusters(unittest.TestCase):
         self.folder = Path(holder.name)
         self.graph = self.folder / "graph.toml"
         self.graph.write_text(GRAPH)
+        self.processes: list[subprocess.Popen[bytes]] = []
         self.rows = [{"clip": self.picture(f"{number}.png", (32, 24), number % 200)} for number in range(RUNS)]
 
     def picture(self, name: str, size: tuple[int, int], light: int) -> str:
@@ -167,6 +170,7 @@ class Clusters(unittest.TestCase):
         stream = (self.folder / log).open("wb")
         self.addCleanup(stream.close)
         process = subprocess.Popen(words, stdout=stream, stderr=subprocess.STDOUT)
+        self.processes.append(process)
 
         def end() -> None:
             process.kill()
@@ -245,6 +249,28 @@ class Clusters(unittest.TestCase):
         self.assertRegex(notes, "said nothing for .* taken out")
         self.assertRegex(notes, "gets no more runs: plugin `flow`: .* does not exist")
         self.compare(study)
+
+    @unittest.skipUnless("PANOSCOPE_BATCH_RUNS" in os.environ, "a scheduler takes some seconds to start: `cargo xtask test batches`")
+    def test_a_scheduler_that_ends_ends_the_study_which_goes_on_later(self) -> None:
+        address = self.scheduler(None)
+        self.worker(address, 1, None)
+
+        def kill() -> None:
+            """Once a run is done."""
+            while not list((self.folder / "study").glob("runs/*/*")):
+                time.sleep(0.01)
+            self.processes[0].kill()
+
+        killer = threading.Thread(target=kill, daemon=True)
+        killer.start()
+        with dask.config.set({"distributed.comm.timeouts.connect": "2s"}):
+            with self.assertRaisesRegex(ps.StudyError, "the scheduler of Dask is gone"):
+                ps.batch(self.graph, self.rows, self.folder / "study", executor=address, threads=1)
+            with self.assertRaisesRegex(ps.StudyError, f"no scheduler of Dask answers at {address}"):
+                ps.batch(self.graph, self.rows, self.folder / "study", executor=address, threads=1)
+        study = ps.batch(self.graph, self.rows, self.folder / "study", threads=1)
+        self.assertEqual((study.counts["done"] + study.counts["kept"], study.counts["open"]), (RUNS, 0), study.failures)
+        self.assertGreater(study.counts["kept"], 0)
 
     def test_a_run_for_workers_that_are_gone_does_not_wait_for_them(self) -> None:
         with distributed.LocalCluster(n_workers=2, processes=False, dashboard_address=None) as cluster, distributed.Client(cluster) as client:

@@ -11,6 +11,7 @@ import os
 import re
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Optional, Union
 
 from ..columns import needed
@@ -80,6 +81,7 @@ class Dask:
         """When the scheduler heard last from a worker, by its clock, and since when that is so, by this process's."""
         self._limited: dict[Handle, set[str]] = {}
         """Workers that may do a run, where not all may."""
+        self._outcomes: dict[Handle, Outcome] = {}
         self._looked = 0.0
         self._submitted = 0
         self.window = 2
@@ -106,22 +108,34 @@ class Dask:
         return handle
 
     def wait(self, pending: Iterable[Handle], timeout_s: float) -> set[Handle]:
-        """Those that are over, or would wait for ever: for workers that are gone, while others have come."""
-        stranded = {handle for handle, allowed in self._limited.items() if not allowed & self._known}
+        """Those that are over, or would wait for ever: for workers that are gone, or for a scheduler that has forgotten them."""
+        handles = list(pending)
+        stranded = {handle for handle in handles if handle.status == "cancelled" or self._is_stranded(handle)}
         if stranded:
             return stranded
         try:
-            return set(self._distributed.wait(list(pending), timeout_s, "FIRST_COMPLETED").done)
-        except (TimeoutError, self._distributed.TimeoutError):
+            done = set(self._distributed.wait(handles, timeout_s, "FIRST_COMPLETED").done)
+            # In one message for all; where one of them cannot be had, as from a worker that hangs, each by itself.
+            finished = [handle for handle in done if handle.status == "finished"]
+            with suppress(Exception):
+                outcomes = self._client.sync(self._client._gather, finished, callback_timeout=self._silent_s)
+                self._outcomes.update(zip(finished, outcomes))
+            return done
+        except (TimeoutError, self._distributed.TimeoutError, concurrent.futures.CancelledError):
             return set()
+
+    def _is_stranded(self, handle: Handle) -> bool:
+        allowed = self._limited.get(handle)
+        return allowed is not None and not allowed & self._known
 
     def outcome(self, handle: Handle) -> Outcome:
         """What became of a run; a task that Dask gave up is a lost run."""
-        allowed = self._limited.pop(handle, None)
-        if allowed is not None and not allowed & self._known:
+        is_stranded = self._is_stranded(handle)
+        self._limited.pop(handle, None)
+        if is_stranded:
             handle.cancel()
             raise StudyError("the workers that it was for are gone")
-        result: Outcome = handle.result()
+        result: Outcome = self._outcomes.pop(handle, None) or handle.result(self._silent_s)
         return result
 
     def avoid(self, name: str) -> bool:
@@ -168,8 +182,14 @@ class Dask:
         return notes
 
     def look(self) -> list[str]:
-        """Workers that went, and those that were removed."""
-        notes, self._notes = self._notes + self._examine(), []
+        """Workers that went, and those that were removed. The client tries for some time to reach a scheduler that is gone."""
+        if self._client.status not in ("running", "connecting"):
+            raise StudyError("the scheduler of Dask is gone: once there is one, the same command goes on where it was")
+        try:
+            found = self._examine() if self._client.status == "running" else []
+        except OSError:
+            found = []
+        notes, self._notes = self._notes + found, []
         return notes
 
     def close(self) -> None:
@@ -225,7 +245,11 @@ def of(executor: Any, jobs: int, max_s: float, silent_s: float) -> AnyExecutor:
             ray.init(address=address, ignore_reinit_error=True, log_to_driver=False)
             return Ray(ray)
         if re.match(r"(tcp|tls|ws|wss|ucx)://", executor):
-            return Dask(needed("distributed", "a Dask cluster").Client(executor), max_s, silent_s)
+            try:
+                client = needed("distributed", "a Dask cluster").Client(executor)
+            except OSError as error:
+                raise StudyError(f"no scheduler of Dask answers at {executor}: {error}") from error
+            return Dask(client, max_s, silent_s)
         raise StudyError(f"executor {executor!r}: give tcp://HOST:PORT of a scheduler of Dask, or ray:auto")
     if isinstance(executor, concurrent.futures.Executor):
         return Local(executor)
