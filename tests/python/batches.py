@@ -4,6 +4,7 @@
 """
 
 import csv
+import io
 import json
 import os
 import random
@@ -12,17 +13,20 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import unittest
 from pathlib import Path
 from typing import Any, Optional
+from unittest import mock
 
+import fsspec
 import polars
 import pyarrow.parquet as parquet
 from PIL import Image
 
 import panoscope as ps
-from panoscope.studies import plan, process, statistics, table, values
+from panoscope.studies import plan, process, statistics, table, values, worker
 from panoscope.studies.store import Store
 
 COMMAND = os.environ["PANOSCOPE_BIN"]
@@ -121,6 +125,7 @@ class Plans(Case):
             ([], {}, "no input"),
             ([{"patient": "p1"}], {}, "the graph needs the arguments clip: the table has the columns patient"),
             ([{"clip": ""}], {}, "`clip` is empty in rows 1"),
+            ([{**rows[0], "status": "healthy"}], {}, "`status` is a column that results have"),
             (rows, {"sweep": {"light.gain": [99]}}, "gain"),
             (rows, {"sweep": {"light.gain": (1, 2)}}, "from, to, steps"),
             (rows, {"args": {"clip": "a.mkv"}}, "leave one of them out"),
@@ -140,7 +145,7 @@ class Runs(Case):
         self.assertEqual([(row["patient"], row["light.gain"]) for row in rows], [("p1", 1.0), ("p1", 2.0), ("p2", 1.0), ("p2", 2.0)])
         self.assertEqual([row["light.level.mean"] for row in rows], [11.0, 22.0, 21.0, 42.0])
         self.assertTrue(all(row["status"] == "done" and row["frames"] == 3 and row["light.level.count"] == 3 for row in rows))
-        self.assertTrue(all(rows[0][f"{name}_hash"] for name in table.HASHES))
+        self.assertTrue(all(rows[0][name] for name in plan.HASHES))
         self.assertNotEqual(rows[0]["inputs_hash"], rows[2]["inputs_hash"])
         ticks = parquet.read_table(study.table / "ticks.parquet")
         self.assertEqual((ticks["tick"].to_pylist()[:3], ticks["light.level"].to_pylist()[:6]), ([0, 1, 2], [10.0, 11.0, 12.0, 20.0, 22.0, 24.0]))
@@ -194,6 +199,62 @@ class Runs(Case):
         study = self.batch("large", rows, max_memory_mb=4)
         self.assertIn("more memory than the limit of 4 MB", min(study.failures.values()))
 
+    def test_inputs_of_stores_are_copied_for_their_run_and_hashed(self) -> None:
+        system = fsspec.filesystem("memory")
+        self.addCleanup(system.rm, "/archive", recursive=True)
+
+        def put(operation: int, light: int) -> None:
+            stream = io.BytesIO()
+            Image.new("L", (32, 24), light).save(stream, "PNG")
+            system.pipe(f"/archive/{operation}/clip.png", stream.getvalue())
+
+        for operation in (1, 2):
+            put(operation, 10 * operation)
+        inputs = {"clip": "memory://archive/{operation}/clip.png"}
+        study = self.batch("study", inputs)
+        self.assertEqual(dict(study.counts), {"done": 2, "open": 0}, study.failures)
+        rows = self.rows("study")
+        self.assertEqual([(row["operation"], row["light.level.mean"]) for row in rows], [(1, 10.0), (2, 20.0)])
+        self.assertNotEqual(rows[0]["inputs_hash"], rows[1]["inputs_hash"])
+        # No copy stays.
+        self.assertEqual([file.name for file in study.folder.rglob("clip.png")], [])
+        put(2, 77)
+        self.assertEqual(dict(self.batch("study", inputs).counts), {"kept": 1, "done": 1, "open": 0})
+        self.assertEqual([row["light.level.mean"] for row in self.rows("study")], [10.0, 77.0])
+        # The same bytes have the same hash wherever they lie.
+        system.get("/archive/1/clip.png", str(self.folder / "clip.png"))
+        local = self.batch("local", {"clip": f"file://{self.folder}/{{name}}.png"})
+        self.assertEqual(dict(local.counts), {"done": 1, "open": 0}, local.failures)
+        self.assertEqual(self.rows("local")[0]["inputs_hash"], rows[0]["inputs_hash"])
+        system.rm("/archive/2", recursive=True)
+        study = self.batch("study", [{"clip": f"memory://archive/{operation}/clip.png"} for operation in (1, 2)])
+        self.assertEqual((study.counts["kept"] + study.counts["done"], study.counts["failed"]), (1, 1))
+        self.assertIn("archive/2/clip.png", min(study.failures.values()))
+
+    def test_the_next_run_is_prepared_while_one_goes_on(self) -> None:
+        prepared, going = threading.Semaphore(0), [0, 0]
+        hash_of_inputs, run = worker.hash_of_inputs, process.run
+
+        def hashed(paths: Any) -> str:
+            prepared.release()
+            return hash_of_inputs(paths)
+
+        def ran(*arguments: Any) -> process.Ended:
+            going[0] += 1
+            going[1] = max(going)
+            # The first run waits for its own inputs and for those of the second.
+            if not started:
+                started.append(True)
+                self.assertTrue(all(prepared.acquire(timeout=MAX_S) for _ in range(2)))
+            ended = run(*arguments)
+            going[0] -= 1
+            return ended
+
+        started: list[bool] = []
+        with mock.patch.object(worker, "hash_of_inputs", hashed), mock.patch.object(process, "run", ran):
+            study = self.batch("study", self.table(3), jobs=1)
+        self.assertEqual((study.counts["done"], going), (3, [0, 1]), study.notes)
+
     def test_a_run_of_a_killed_driver_ends_with_it(self) -> None:
         words = [COMMAND, "run", str(self.graph), "--clip", self.clip(1), "--again=true", "--headless", "--unpaced"]
         driver = f"from panoscope.studies import process; from pathlib import Path; process.run({words!r}, Path({str(self.folder / 'log')!r}), 100)"
@@ -204,6 +265,17 @@ class Runs(Case):
             parent.kill()
             parent.wait()
             _wait_for(lambda: not any(_is_alive(child) for child in children))
+
+    def test_what_a_killed_driver_leaves_is_removed(self) -> None:
+        rows = [{"clip": self.clip(1)}]
+        for call, place in (("replace", "study.json"), ("rename", "/runs/"), ("replace", "runs.parquet")):
+            dying = f"import os; real = os.{call}; os.{call} = lambda one, two: os._exit(9) if {place!r} in str(two) else real(one, two)"
+            run = f"{dying}; import panoscope as ps; ps.batch({str(self.graph)!r}, {rows!r}, {str(self.folder / 'study')!r}, threads=1)"
+            self.assertEqual(subprocess.run([sys.executable, "-c", run]).returncode, 9, place)
+        study = self.batch("study", rows)
+        self.assertEqual(study.counts["kept"], 1)
+        self.assertEqual(list((study.folder / "tmp").iterdir()), [])
+        self.assertEqual([file.name for file in study.folder.rglob("*") if "part" in file.name], [])
 
     def test_two_drivers_do_not_share_a_study(self) -> None:
         with Store(self.folder / "study").lock(), self.assertRaisesRegex(ps.StudyError, f"is being run by process {os.getpid()}"):
@@ -278,27 +350,40 @@ class Reports(Case):
             rows.append({**row, "judge.bad2_pct.mean": value + shift + chance.gauss(0.0, 0.1), "judge.bad2_pct.count": 20})
         rows[7] = {**rows[7], "status": "failed", "error": "error: <no> camera", "judge.bad2_pct.mean": None}
         folder = self.folder / out
-        table.write_rows(rows, folder / "table" / "runs.parquet")
+        table.write_rows(rows, Store(folder), table.RUNS_FILE)
         (folder / "study.json").write_text(json.dumps({"graph": "g.toml", "columns": ["patient"], "sweep": {}, "hashes": {}}))
         return folder
 
     def test_means_have_their_intervals_and_pairs_show_small_differences(self) -> None:
         first, second = statistics.Table(self.study("first", 0.0)), statistics.Table(self.study("second", 0.1))
         measure = "judge.bad2_pct"
-        (summary,) = first.summaries(measure, ())
+        found = statistics.Measure(first, measure, ["patient"])
+        summary = found.summary()
         column = polars.read_parquet(first.file).filter(polars.col("status") == "done")[f"{measure}.mean"]
         self.assertEqual(summary.interval.count, 199)
         self.assertAlmostEqual(summary.interval.mean, column.mean(), 9)
         self.assertAlmostEqual(summary.interval.half_width, 1.97202 * column.std() / 199**0.5, 4)
-        pair = statistics.paired(first, second, measure, False)
+        pair = statistics.Pairs(first, second).compare(measure, False)
         # By itself each mean is too uncertain.
         self.assertLess(abs(pair.difference.mean), summary.interval.half_width)
         self.assertTrue(pair.is_significant)
-        self.assertFalse(statistics.paired(first, first, measure, False).is_significant)
-        self.assertEqual(len(first.summaries(measure, ["patient"])), 4)
-        self.assertEqual(sum(first.histogram(measure)[2]), 199)
-        worst = first.worst(measure, 3, False)
+        self.assertFalse(statistics.Pairs(first, first).compare(measure, False).is_significant)
+        self.assertEqual([group.group for group in found.groups()], [(f"p{number}",) for number in range(4)])
+        self.assertEqual(sum(group.interval.count for group in found.groups()), 199)
+        low, high, counts = found.histogram()
+        self.assertEqual((low, high, sum(counts)), (column.min(), column.max(), 199))
+        self.assertEqual(counts[0], sum(value < low + (high - low) / 40 for value in column))
+        self.assertAlmostEqual(summary.median, column.median(), 12)
+        worst = found.worst(3, False)
         self.assertEqual([row["value"] for row in worst], sorted(column, reverse=True)[:3])
+        rows = {row["run"]: row for row in polars.read_parquet(first.file).to_dicts()}
+        self.assertTrue(all(rows[row["run"]][f"{measure}.mean"] == row["value"] for row in worst))
+        # Also where the runs stand in another order.
+        frame = polars.read_parquet(second.file)
+        frame.sort(f"{measure}.mean", descending=True).drop("number").with_row_index("number", 1).write_parquet(second.file)
+        joined = statistics.Pairs(first, statistics.Table(second.folder)).compare(measure, False)
+        self.assertAlmostEqual(joined.difference.half_width, pair.difference.half_width, 9)
+        self.assertEqual((joined.difference.count, joined.better_share), (199, pair.better_share))
 
     def test_quantiles_of_students_distribution(self) -> None:
         for freedom, quantile in ((1, 12.7062), (4, 2.7764), (5, 2.5706), (9, 2.2622), (29, 2.0452), (199, 1.97196), (10**7, 1.95996)):

@@ -3,7 +3,7 @@
 use panoscope_tests::{run_python_classes, run_python_tests};
 
 /// What the classes import.
-const MODULES: &str = "PIL, polars, pyarrow";
+const MODULES: &str = "PIL, fsspec, polars, pyarrow";
 
 #[test]
 fn studies_are_planned_run_and_reported() {

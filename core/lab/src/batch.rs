@@ -133,3 +133,15 @@ pub fn run(request: &Request) -> Result<End> {
     let interpreter = python.get_program().to_owned();
     Err(python.exec()).with_context(|| format!("{} does not start", interpreter.display()))
 }
+
+#[cfg(test)]
+mod tests {
+    use panoscope_eval::report::LARGER_IS_BETTER;
+
+    #[test]
+    fn more_of_the_same_measures_is_better_in_both_reports() {
+        let package = include_str!("../../python/panoscope/studies/statistics.py");
+        let names = LARGER_IS_BETTER.map(|name| format!("{name:?}")).join(", ");
+        assert!(package.contains(&format!("LARGER = ({names})\n")), "write {names}");
+    }
+}

@@ -229,10 +229,9 @@ def _compact(plan: _Plan, store: Store, study: Study, has_ticks: bool) -> None:
         rows.append(table.row_of(run, position, result, plan.hashes))
         if result.get("status") == FAILED:
             study.failures[run.key] = str(result["error"])
-    table.write_rows(rows, store.table / table.RUNS_FILE)
+    table.write_rows(rows, store, table.RUNS_FILE)
     table.write_attempts(plan.runs, store)
-    if has_ticks:
-        table.write_ticks(plan.runs, store)
+    table.write_ticks(plan.runs if has_ticks else [], store)
 
 
 def _open_tasks(plan: _Plan, store: Store, retry: bool, is_exact: bool, study: Study) -> list[Task]:
@@ -313,7 +312,8 @@ def batch(
         return study
     with store.lock():
         store.clean()
-        write_json(store.folder / MARK, plan.request)
+        with store.replacing(store.folder / MARK) as mark:
+            write_json(mark, plan.request)
         tasks = _open_tasks(plan, store, retry, False, study)
         say(f"{len(plan.runs)} runs: {study.counts[KEPT]} are done, {study.counts[FAILED]} failed, {len(tasks)} to run")
         bar = _Progress(f"batch of {graph.name}", len(tasks), progress, say)

@@ -11,6 +11,7 @@ import os
 import re
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Optional, Union
 
 from ..columns import needed
@@ -25,17 +26,20 @@ _LOOK_S = 2.0
 
 
 class Local:
-    """An executor of ``concurrent.futures``; without one, threads that start a process per run."""
+    """An executor of ``concurrent.futures``; without one, threads that start a process per run.
+
+    One thread more than processes: it hashes the inputs of the next run and writes the row of the last one while the others go on.
+    """
 
     def __init__(self, executor: Optional[concurrent.futures.Executor] = None, jobs: int = 1) -> None:
-        self._is_own = executor is None
-        self._executor = executor or concurrent.futures.ThreadPoolExecutor(jobs, "panoscope-run")
-        slots = getattr(self._executor, "_max_workers", None) or os.cpu_count() or 1
-        self.window = 2 * int(slots)
+        self._slots = process.Slots(jobs) if executor is None else None
+        self._executor = executor or concurrent.futures.ThreadPoolExecutor(jobs + 1, "panoscope-run")
+        workers = getattr(self._executor, "_max_workers", None) or os.cpu_count() or 1
+        self.window = 2 * int(workers)
 
     def submit(self, task: Task) -> Handle:
         """Starts a run."""
-        return self._executor.submit(worker.run, task)
+        return self._executor.submit(worker.run, task, *([self._slots] if self._slots else []))
 
     def wait(self, pending: Iterable[Handle], timeout_s: float) -> set[Handle]:
         """Those that are over; waits until there is one, but not longer than ``timeout_s``."""
@@ -56,8 +60,9 @@ class Local:
 
     def close(self) -> None:
         """Ends the runs that are under way."""
-        if self._is_own:
+        if self._slots:
             self._executor.shutdown(wait=False, cancel_futures=True)
+            self._slots.close()
             process.end_all()
             self._executor.shutdown()
 
@@ -72,6 +77,11 @@ class Dask:
         self._known: set[str] = set()
         self._removed: set[str] = set()
         self._began: dict[tuple[str, str], float] = {}
+        self._heard: dict[str, tuple[float, float]] = {}
+        """When the scheduler heard last from a worker, by its clock, and since when that is so, by this process's."""
+        self._limited: dict[Handle, set[str]] = {}
+        """Workers that may do a run, where not all may."""
+        self._outcomes: dict[Handle, Outcome] = {}
         self._looked = 0.0
         self._submitted = 0
         self.window = 2
@@ -91,19 +101,41 @@ class Dask:
         """Starts a run on a worker that is not avoided."""
         self._submitted += 1
         key = f"panoscope-{task['key']}-{os.getpid()}-{self._submitted}"
-        allowed = self._allowed() if self._avoided else None
-        return self._client.submit(worker.run, task, pure=False, key=key, workers=allowed)
+        allowed = (self._allowed() if self._avoided else None) or None
+        handle = self._client.submit(worker.run, task, pure=False, key=key, workers=allowed)
+        if allowed:
+            self._limited[handle] = set(allowed)
+        return handle
 
     def wait(self, pending: Iterable[Handle], timeout_s: float) -> set[Handle]:
-        """Those that are over."""
+        """Those that are over, or would wait for ever: for workers that are gone, or for a scheduler that has forgotten them."""
+        handles = list(pending)
+        stranded = {handle for handle in handles if handle.status == "cancelled" or self._is_stranded(handle)}
+        if stranded:
+            return stranded
         try:
-            return set(self._distributed.wait(list(pending), timeout_s, "FIRST_COMPLETED").done)
-        except (TimeoutError, self._distributed.TimeoutError):
+            done = set(self._distributed.wait(handles, timeout_s, "FIRST_COMPLETED").done)
+            # In one message for all; where one of them cannot be had, as from a worker that hangs, each by itself.
+            finished = [handle for handle in done if handle.status == "finished"]
+            with suppress(Exception):
+                outcomes = self._client.sync(self._client._gather, finished, callback_timeout=self._silent_s)
+                self._outcomes.update(zip(finished, outcomes))
+            return done
+        except (TimeoutError, self._distributed.TimeoutError, concurrent.futures.CancelledError):
             return set()
+
+    def _is_stranded(self, handle: Handle) -> bool:
+        allowed = self._limited.get(handle)
+        return allowed is not None and not allowed & self._known
 
     def outcome(self, handle: Handle) -> Outcome:
         """What became of a run; a task that Dask gave up is a lost run."""
-        result: Outcome = handle.result()
+        is_stranded = self._is_stranded(handle)
+        self._limited.pop(handle, None)
+        if is_stranded:
+            handle.cancel()
+            raise StudyError("the workers that it was for are gone")
+        result: Outcome = self._outcomes.pop(handle, None) or handle.result(self._silent_s)
         return result
 
     def avoid(self, name: str) -> bool:
@@ -121,11 +153,10 @@ class Dask:
 
     def _hung(self, workers: dict[str, Any], now: float) -> dict[str, str]:
         """Workers that do not answer, and those whose runs go on for longer than any may."""
-        hung = {
-            address: f"said nothing for {time.time() - facts['last_seen']:.0f} s"
-            for address, facts in workers.items()
-            if time.time() - facts["last_seen"] > self._silent_s
-        }
+        # The clocks of the machines may differ: only whether the scheduler's changes counts.
+        news = {address: (float(facts["last_seen"]), now) for address, facts in workers.items()}
+        self._heard = {address: old if (old := self._heard.get(address, new))[0] == new[0] else new for address, new in news.items()}
+        hung = {address: f"said nothing for {now - since:.0f} s" for address, (_, since) in self._heard.items() if now - since > self._silent_s}
         under_way = {(address, str(key)) for address, keys in self._client.processing().items() for key in keys}
         self._began = {one: self._began.get(one, now) for one in under_way}
         for (address, _), began in self._began.items():
@@ -151,8 +182,14 @@ class Dask:
         return notes
 
     def look(self) -> list[str]:
-        """Workers that went, and those that were removed."""
-        notes, self._notes = self._notes + self._examine(), []
+        """Workers that went, and those that were removed. The client tries for some time to reach a scheduler that is gone."""
+        if self._client.status not in ("running", "connecting"):
+            raise StudyError("the scheduler of Dask is gone: once there is one, the same command goes on where it was")
+        try:
+            found = self._examine() if self._client.status == "running" else []
+        except OSError:
+            found = []
+        notes, self._notes = self._notes + found, []
         return notes
 
     def close(self) -> None:
@@ -208,7 +245,11 @@ def of(executor: Any, jobs: int, max_s: float, silent_s: float) -> AnyExecutor:
             ray.init(address=address, ignore_reinit_error=True, log_to_driver=False)
             return Ray(ray)
         if re.match(r"(tcp|tls|ws|wss|ucx)://", executor):
-            return Dask(needed("distributed", "a Dask cluster").Client(executor), max_s, silent_s)
+            try:
+                client = needed("distributed", "a Dask cluster").Client(executor)
+            except OSError as error:
+                raise StudyError(f"no scheduler of Dask answers at {executor}: {error}") from error
+            return Dask(client, max_s, silent_s)
         raise StudyError(f"executor {executor!r}: give tcp://HOST:PORT of a scheduler of Dask, or ray:auto")
     if isinstance(executor, concurrent.futures.Executor):
         return Local(executor)

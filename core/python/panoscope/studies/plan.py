@@ -19,6 +19,9 @@ from .values import digest, number
 Row = dict[str, Any]
 _FILE_KINDS = ("source", "file", "path")
 _VIEWS = ("left", "right")
+HASHES = tuple(f"{name}_hash" for name in ("graph", "plugins", "models", "request", "inputs"))
+OWN_COLUMNS = ("run", "number", "status", "error", *HASHES, "frames", "failed_calls", "files")
+"""Of the table of runs, besides columns of the inputs, swept parameters and measures."""
 _MAX_NAMED = 5
 """Rows, files or names that an error lists."""
 
@@ -187,6 +190,9 @@ def _checked_columns(rows: Sequence[Row], known: Sequence[Argument], fixed: Mapp
     if not rows:
         raise StudyError("there is no input")
     columns = set().union(*rows)
+    own = sorted(columns & set(OWN_COLUMNS))
+    if own:
+        raise StudyError(f"`{own[0]}` is a column that results have: give that of the table another name")
     missing = [argument.name for argument in known if argument.is_missing and argument.name not in columns and argument.name not in fixed]
     if missing:
         names = ", ".join(missing)

@@ -6,11 +6,14 @@ import os
 import select
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Optional
+
+from .store import StudyError
 
 _SAMPLE_S = 0.02
 """Between two looks at the memory. New pages come at some GB per second: a run is at most a few 10 MB above its limit."""
@@ -31,6 +34,26 @@ class Ended:
     cpu_s: float
     peak_mb: float
     """Most resident memory of one of its processes."""
+
+
+class Slots:
+    """How many processes run at a time. None starts after it was closed."""
+
+    def __init__(self, count: int) -> None:
+        self._free, self._is_closed = threading.Semaphore(count), False
+
+    def __enter__(self) -> None:
+        self._free.acquire()
+        if self._is_closed:
+            self._free.release()
+            raise StudyError("the study was stopped")
+
+    def __exit__(self, *error: object) -> None:
+        self._free.release()
+
+    def close(self) -> None:
+        """Lets those that wait fail."""
+        self._is_closed = True
 
 
 def end_all() -> None:

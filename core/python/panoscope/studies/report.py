@@ -12,19 +12,24 @@ from pathlib import Path
 from typing import Any, Optional, Union
 from urllib.parse import quote
 
-from .statistics import Paired, Summary, Table, is_larger_better, paired
+from .statistics import Measure, Paired, Pairs, Summary, Table, is_larger_better
 from .store import LOG, MARK, Store, StudyError, read_json
 
 _WORST = 10
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
-_MAX_PICTURES, _MAX_PICTURE_BYTES = 12, 300_000
-"""Pictures of worst runs on a page, and size of each; larger ones are links."""
+_LONG = 60
+"""Characters of a text that gets several lines."""
+_PICTURED = 3
+"""Runs of a list that have their picture, unless it is on the page already."""
+_MAX_PICTURES, _MAX_PICTURE_BYTES = 40, 300_000
+"""Pictures on a page, and size of each; larger ones are links."""
 _MAX_GROUPS = 60
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1c2430; background: #fff; max-width: 70rem; margin: 2rem auto; padding: 0 1.2rem }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2.2rem; border-top: 1px solid #d5dbe3; padding-top: 1rem } h3 { font-size: 1rem }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums } th, td { padding: .2rem .7rem; text-align: right; border-bottom: 1px solid #e6eaef }
-th { color: #54606e; font-weight: 600 } td:first-child, th:first-child { text-align: left } td.text { text-align: left; max-width: 34rem; overflow-wrap: anywhere }
+div.wide { overflow-x: auto; margin: .8rem 0 } table { border-collapse: collapse; font-variant-numeric: tabular-nums }
+th, td { padding: .2rem .7rem; text-align: right; vertical-align: top; white-space: nowrap; border-bottom: 1px solid #e6eaef } th { color: #54606e; font-weight: 600 }
+.text { text-align: left } .long { white-space: normal; min-width: 20rem; max-width: 34rem; overflow-wrap: break-word } svg { max-width: 100%; height: auto }
 .better { color: #14713d } .worse { color: #b3261e } .note { color: #54606e } figure { display: inline-block; margin: .5rem .8rem .5rem 0 }
 figure img { max-width: 20rem; max-height: 14rem; display: block } figcaption { color: #54606e; font-size: .85rem }
 """
@@ -34,13 +39,22 @@ def number(value: Any) -> str:
     """A number with the digits that a person reads."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "unknown"
-    return str(value) if isinstance(value, int) else f"{value:.4g}"
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e12 else f"{value:.4g}"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; cells are HTML already."""
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><thead><tr>{''.join(f'<th>{html.escape(name)}</th>' for name in head)}</tr></thead><tbody>{body}</tbody></table>"
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: Iterable[int] = (0,)) -> str:
+    """A table; cells are HTML already. Columns ``texts`` hold texts, the others numbers."""
+    wide = set(texts)
+
+    def line(kind: str, cells: Sequence[str]) -> str:
+        classes = (("text long" if len(cell) > _LONG and not cell.startswith("<") else "text") if index in wide else "number" for index, cell in enumerate(cells))
+        return "".join(f'<{kind} class="{name}">{cell}</{kind}>' for name, cell in zip(classes, cells))
+
+    body = "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
+    names = line("th", [html.escape(name) for name in head])
+    return f"<div class=wide><table><thead><tr>{names}</tr></thead><tbody>{body}</tbody></table></div>"
 
 
 def _interval(summary: Summary) -> str:
@@ -49,13 +63,13 @@ def _interval(summary: Summary) -> str:
 
 
 def _summaries(summaries: Sequence[Summary], by: Sequence[str]) -> str:
-    head = [*(by or ["runs"]), *(["runs"] if by else []), "mean, 95 %", "deviation", "5 %", "median", "95 %"]
     rows = []
     for one in summaries[:_MAX_GROUPS]:
         group = [html.escape(str(value)) for value in one.group] + [str(one.interval.count)]
         rows.append([*group, _interval(one), *(number(value) for value in (one.interval.deviation, one.low, one.median, one.high))])
     more = f"<p class=note>{len(summaries) - _MAX_GROUPS} more groups</p>" if len(summaries) > _MAX_GROUPS else ""
-    return _table(head, rows) + more
+    head = [*by, "runs", "mean, 95 % interval", "deviation", "5 % below", "median", "95 % below"]
+    return _table(head, rows, range(len(by))) + more
 
 
 def _histogram(low: float, high: float, counts: Sequence[int]) -> str:
@@ -82,7 +96,8 @@ class _Page:
     def __init__(self, page: Path, tables: Sequence[Table], measures: Sequence[str], by: Sequence[str], larger: Sequence[str], smaller: Sequence[str]) -> None:
         self.page, self.tables, self.measures, self.by = page, tables, measures, by
         self.larger, self.smaller = larger, smaller
-        self.pictures = 0
+        self.pictured: set[Path] = set()
+        self.pairs: dict[str, Paired] = {}
 
     def head(self, table: Table) -> str:
         """What a study is, and how many of its runs are done."""
@@ -91,8 +106,8 @@ class _Page:
         counts = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
         values = [("graph", request.get("graph", "")), ("runs", counts)]
         values += [(f"hash of {name}", value) for name, value in sorted(request.get("hashes", {}).items())]
-        values += [("swept", json.dumps(request["sweep"]))] if request.get("sweep") else []
-        return _table([table.folder.name, ""], [(html.escape(name), f"<span>{html.escape(str(value))}</span>") for name, value in values])
+        values += [(name, json.dumps(swept)) for name, swept in request.get("sweep", {}).items()]
+        return _table([table.folder.name, ""], [[html.escape(name), html.escape(str(value))] for name, value in values], (0, 1))
 
     def failures(self, table: Table) -> str:
         """Failed runs by their error."""
@@ -104,36 +119,64 @@ class _Page:
         for error, run, count in errors:
             link = _link(self.page, store.failed(run) / LOG)
             rows.append([str(count), f'<a href="{link}">{run}</a>', html.escape(error.splitlines()[0] if error else "")])
-        return f"<h2>Failed runs of {html.escape(table.folder.name)}</h2>" + _table(["runs", "one of them", "error"], rows)
+        return f"<h2>Failed runs of {html.escape(table.folder.name)}</h2>" + _table(["runs", "one of them", "error"], rows, (1, 2))
 
-    def measure(self, table: Table, measure: str) -> str:
-        """Numbers, distribution and worst runs of a measure."""
-        parts = [f"<h2>{html.escape(measure)}</h2>", _summaries(table.summaries(measure, (), self.by), ())]
-        parts.append(_histogram(*table.histogram(measure, self.by)))
+    def measure(self, name: str) -> str:
+        """Numbers, distribution and worst runs of a measure; of the second study, where two are compared."""
+        measure, is_larger = Measure(self.tables[-1], name, self.by), is_larger_better(name, self.larger, self.smaller)
+        low, high, counts = measure.histogram()
+        title = f"{name} of {self.tables[-1].folder.name}" if len(self.tables) == 2 else name
+        parts = [f"<h2>{html.escape(title)}</h2>", _summaries([measure.summary()], ()), _histogram(low, high, counts)]
         if self.by:
-            parts.append(_summaries(table.summaries(measure, self.by), self.by))
-        is_larger = is_larger_better(measure, self.larger, self.smaller)
-        parts.append(f"<h3>Worst runs ({'less' if is_larger else 'more'} is worse)</h3>" + self.worst(table, measure, is_larger))
+            parts.append(_summaries(measure.groups(), self.by))
+        if low < high:
+            parts.append(f"<h3>Worst runs ({'less' if is_larger else 'more'} is worse)</h3>" + self.worst(measure, name, is_larger))
+        if len(self.tables) == 2:
+            parts.append(self.losses(name))
         return "".join(parts)
 
-    def worst(self, table: Table, measure: str, is_larger: bool) -> str:
-        """Links to the worst runs, and their pictures."""
+    def described(self, table: Table) -> list[str]:
+        """Columns that say what a run was."""
         request = read_json(table.folder / MARK) or {}
         more = [*self.by, *request.get("columns", []), *request.get("sweep", {})]
-        names = list(dict.fromkeys(name for name in more if name in table.columns))
-        worst = table.worst(measure, _WORST, is_larger, [*names, "files"], self.by)
-        store, rows, pictures = Store(table.folder), [], []
-        for row in worst:
-            folder = store.run(row["run"])
-            link = f'<a href="{_link(self.page, folder)}">{row["run"]}</a>'
-            rows.append([link, number(row["value"]), *(html.escape(str(row[name])) for name in names)])
-            pictures.append(self.picture(folder, row["run"], row.get("files") or []))
-        return _table(["run", measure, *names], rows) + "".join(pictures)
+        return list(dict.fromkeys(name for name in more if name in table.columns))
 
-    def picture(self, folder: Path, run: str, files: Sequence[str]) -> str:
-        """The last picture that a run wrote."""
-        of_run = [file for file in files if Path(file).suffix.lower() in _PICTURES]
-        if not of_run or self.pictures >= _MAX_PICTURES:
+    def runs(self, table: Table, head: Sequence[str], rows: Sequence[tuple[dict[str, Any], Sequence[float]]]) -> str:
+        """Rows of runs with links to their folders, some values, and what they were."""
+        names, store = self.described(table), Store(table.folder)
+        texts = [0, *(index for index, name in enumerate(names, 1 + len(head)) if any(isinstance(row[name], str) for row, _ in rows))]
+        cells = [
+            [f'<a href="{_link(self.page, store.run(row["run"]))}">{row["run"]}</a>', *map(number, values), *(html.escape(str(row[name])) for name in names)]
+            for row, values in rows
+        ]
+        return _table(["run", *head, *names], cells, texts)
+
+    def worst(self, measure: Measure, name: str, is_larger: bool) -> str:
+        """Links to the worst runs, and their pictures."""
+        table = self.tables[-1]
+        rows = measure.worst(_WORST, is_larger, [*self.described(table), "files"])
+        pictures = [self.picture(table, row, number(row["value"])) for row in rows[:_PICTURED]]
+        return self.runs(table, [name], [(row, [row["value"]]) for row in rows]) + "".join(pictures)
+
+    def losses(self, name: str) -> str:
+        """The runs that are worse in the second study, side by side."""
+        losses, (first, second) = self.pairs[name].losses, self.tables
+        if not losses:
+            return ""
+        known = first.rows([position for position, _, _ in losses], ["run", *self.described(first), "files"])
+        rows = [(known[position], [a, b, b - a]) for position, a, b in losses]
+        pictures = []
+        for row, (a, b, _) in rows[:_PICTURED]:
+            shown = [self.picture(table, row, f"{table.folder.name}: {number(value)}") for table, value in ((first, a), (second, b))]
+            pictures.append(f"<div>{''.join(shown)}</div>" if any(shown) else "")
+        head = [first.folder.name, second.folder.name, "difference"]
+        return "<h3>Runs that got worse</h3>" + self.runs(first, head, rows) + "".join(pictures)
+
+    def picture(self, table: Table, row: dict[str, Any], caption: str) -> str:
+        """The last picture that a run wrote; the other study has it under the same name."""
+        of_run = [file for file in row.get("files") or [] if Path(file).suffix.lower() in _PICTURES]
+        folder, run = Store(table.folder).run(row["run"]), f"{row['run']}, {html.escape(caption)}"
+        if not of_run or folder in self.pictured or len(self.pictured) >= _MAX_PICTURES:
             return ""
         file = folder / of_run[-1]
         try:
@@ -142,24 +185,25 @@ class _Page:
             return ""
         if not data:
             return f'<figure><figcaption><a href="{_link(self.page, file)}">{html.escape(of_run[-1])}</a> of {run}</figcaption></figure>'
-        self.pictures += 1
+        self.pictured.add(folder)
         source = f"data:{_PICTURES[file.suffix.lower()]};base64,{base64.b64encode(data).decode()}"
         return f'<figure><a href="{_link(self.page, folder)}"><img src="{source}" alt="{html.escape(of_run[-1])}"></a><figcaption>{run}</figcaption></figure>'
 
     def comparison(self) -> str:
         """The runs that two studies have in common."""
-        first, second = self.tables
+        pairs = Pairs(*self.tables)
         rows = []
-        for measure in self.measures:
-            is_larger = is_larger_better(measure, self.larger, self.smaller)
-            rows.append(_paired_row(paired(first, second, measure, is_larger), is_larger))
+        for name in self.measures:
+            is_larger = is_larger_better(name, self.larger, self.smaller)
+            self.pairs[name] = pairs.compare(name, is_larger, _WORST)
+            rows.append(_paired_row(self.pairs[name], is_larger))
         names = [html.escape(table.folder.name) for table in self.tables]
-        head = ["measure", "pairs", *names, "difference, 95 %", "runs that are better", "verdict"]
+        head = ["measure", "pairs", *(table.folder.name for table in self.tables), "difference, 95 % interval", "runs that are better", "verdict"]
         text = (
             f"<p class=note>The same run of both studies is a pair: {names[1]} minus {names[0]}, mean and 95 % interval by Student's t over the runs. "
             "Each measure is compared by itself; of twenty measures without a difference one is expected to show one.</p>"
         )
-        return f"<h2>{names[1]} compared with {names[0]}</h2>" + text + _table(head, rows)
+        return f"<h2>{names[1]} compared with {names[0]}</h2>" + text + _table(head, rows, (0, 6))
 
     def render(self) -> str:
         """The whole page."""
@@ -168,8 +212,8 @@ class _Page:
         if len(self.tables) == 2:
             parts.append(self.comparison())
         parts += [self.failures(table) for table in self.tables]
-        parts += [self.measure(self.tables[-1], measure) for measure in self.measures]
-        return f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style></head><body>{"".join(parts)}</body></html>\n'
+        parts += [self.measure(measure) for measure in self.measures]
+        return f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title><style>{_STYLE}</style></head><body>{"".join(parts)}</body></html>\n'
 
 
 def _paired_row(pair: Paired, is_larger: bool) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Optional
@@ -16,8 +16,10 @@ MEAN = ".mean"
 _T_975 = dict(enumerate((12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622), 1))
 _Z_975 = 1.959964
 BINS = 40
-LARGER = ("ap50", "precision", "recall", "coverage", "inliers", "density", "confidence", "fps", "hz")
-"""Parts of the names of measures of which more is better."""
+SHARES = (0.05, 0.5, 0.95)
+_ROWS_AT_ONCE = 1_000_000
+LARGER = ("ap50", "precision", "recall", "coverage", "inliers", "density", "confidence", "fps", "_hz")
+"""Parts of the names of measures of which more is better; those of `panoscope sweep`."""
 
 
 def t_975(freedom: int) -> float:
@@ -79,6 +81,8 @@ class Paired:
     difference: Interval
     better_share: float
     """Share of the runs that are better in the second study."""
+    losses: list[tuple[int, float, float]]
+    """Runs that got worse, the most so first: number in the first study, and both values."""
 
     @property
     def is_significant(self) -> bool:
@@ -87,18 +91,16 @@ class Paired:
 
 
 class Table:
-    """The rows of a study."""
+    """The rows of a study. The column ``number`` is the position of a row, from 1."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.file = folder / "table" / RUNS_FILE
         if not self.file.is_file():
             raise StudyError(f"{folder} is not a study: {self.file} does not exist; `panoscope batch` writes it")
-        self._pl = needed("polars", "a report of a study")
-        self.frame = self._pl.scan_parquet(self.file)
+        self.pl = needed("polars", "a report of a study")
+        self.frame = self.pl.scan_parquet(self.file)
         self.columns: list[str] = self.frame.collect_schema().names()
-        self._loaded: tuple[Any, Any] = (None, None)
-        """What was read last, and its rows: everything about a measure is computed from one reading."""
 
     @property
     def measures(self) -> list[str]:
@@ -112,19 +114,16 @@ class Table:
             raise StudyError(f"{self.folder} has no measure `{unknown[0]}`; it has {', '.join(self.measures) or 'none'}")
         return list(measures) or self.measures
 
-    def values(self, measure: str, more: Sequence[str] = ()) -> Any:
-        """The mean of a measure in each run that has one, as column ``value``; lazy. Runs that failed have none."""
-        col = self._pl.col
-        value = col(measure + MEAN).cast(self._pl.Float64).alias("value")
-        return self.frame.select(value, *(col(name) for name in more)).filter(col("value").is_finite())
+    def value(self, measure: str) -> Any:
+        """The mean of a measure in each run, as an expression; null where it has none, as in runs that failed."""
+        value = self.pl.col(measure + MEAN).cast(self.pl.Float64)
+        return self.pl.when(value.is_finite()).then(value).alias("value")
 
-    def _read(self, measure: str, by: Sequence[str]) -> Any:
-        wanted = (measure, tuple(by))
-        if self._loaded[0] != wanted:
-            # The rows before go first: two measures need not fit into the memory.
-            self._loaded = (None, None)
-            self._loaded = (wanted, self.values(measure, ["number", *by]).collect(engine="streaming"))
-        return self._loaded[1]
+    def rows(self, numbers: Sequence[int], columns: Iterable[str]) -> dict[int, dict[str, Any]]:
+        """Some rows, by number; of the columns those that there are."""
+        names = ["number", *(name for name in dict.fromkeys(columns) if name in self.columns and name != "number")]
+        rows = self.frame.select(names).filter(self.pl.col("number").is_in(list(numbers))).collect(engine="streaming")
+        return {int(row["number"]): row for row in rows.to_dicts()}
 
     def statuses(self) -> dict[str, int]:
         """Number of runs by status."""
@@ -133,60 +132,105 @@ class Table:
 
     def errors(self, most: int = 50) -> list[tuple[str, str, int]]:
         """Errors of failed runs, the most frequent first: the error, one of its runs, and how many have it."""
-        col = self._pl.col
-        failed = self.frame.filter(col("status") == "failed").group_by("error").agg(col("run").min(), self._pl.len())
-        return [(str(error), str(run), int(count)) for error, run, count in failed.sort(["len", "error"], descending=[True, False]).head(most).collect().rows()]
+        col = self.pl.col
+        failed = self.frame.filter(col("status") == "failed").group_by("error").agg(col("number").min(), self.pl.len())
+        found = failed.sort(["len", "error"], descending=[True, False]).head(most).collect(engine="streaming").rows()
+        runs = self.rows([number for _, number, _ in found], ["run"])
+        return [(str(error), str(runs[number]["run"]), int(count)) for error, number, count in found]
 
-    def summaries(self, measure: str, by: Sequence[str], groups: Sequence[str] = ()) -> list[Summary]:
-        """A measure over all runs, or for each group of them. ``groups`` are columns that later calls group by: they are read at once."""
-        value = self._pl.col("value")
-        facts = [value.len().alias("n"), value.mean().alias("mean"), value.std().alias("std")]
-        facts += [value.quantile(share, "linear").alias(f"q{share}") for share in (0.05, 0.5, 0.95)]
-        rows = self._read(measure, by or groups)
-        found = rows.group_by(list(by)).agg(facts).sort(list(by)) if by else rows.select(facts)
-        summaries = []
-        for row in found.rows():
-            group, (count, mean, deviation, *quantiles) = row[: len(by)], row[len(by) :]
-            low, median, high = (math.nan if quantile is None else quantile for quantile in quantiles)
-            summaries.append(Summary(group, Interval.of(count, mean, deviation), low, median, high))
-        return summaries
 
-    def histogram(self, measure: str, groups: Sequence[str] = ()) -> tuple[float, float, list[int]]:
+class Measure:
+    """A measure over the runs of a study, read once: ten million values are 80 MB."""
+
+    def __init__(self, table: Table, name: str, by: Sequence[str] = ()) -> None:
+        self.table, self.by = table, list(by)
+        columns = [table.value(name), *(table.pl.col(column).alias(f"by {column}") for column in by)]
+        rows = table.frame.select(columns).with_row_index("number", 1).filter(table.pl.col("value").is_not_null())
+        self._rows = rows.collect(engine="streaming")
+        self._ordered = self._rows["value"].sort()
+
+    def summary(self) -> Summary:
+        """Over all runs."""
+        ordered = self._ordered
+        return _summary((), len(ordered), ordered.mean(), ordered.std(), [ordered.quantile(share, "linear") for share in SHARES])
+
+    def groups(self) -> list[Summary]:
+        """Over the runs of each group."""
+        value, names = self.table.pl.col("value"), [f"by {column}" for column in self.by]
+        facts = [value.len().alias("count"), value.mean().alias("mean"), value.std().alias("deviation")]
+        facts += [value.quantile(share, "linear").alias(f"{share}") for share in SHARES]
+        found = self._rows.group_by(names).agg(facts).sort(names)
+        split = [(row[: len(names)], row[len(names) :]) for row in found.rows()]
+        return [_summary(group, count, mean, deviation, quantiles) for group, (count, mean, deviation, *quantiles) in split]
+
+    def histogram(self) -> tuple[float, float, list[int]]:
         """Least and largest value, and the number of runs in each of 40 parts between them."""
-        values = self._read(measure, groups)["value"]
-        if not len(values):
+        ordered = self._ordered
+        if not len(ordered):
             return math.nan, math.nan, []
-        low, high = float(values.min()), float(values.max())
-        width = (high - low) / BINS or 1.0
-        bins = ((values - low) / width).cast(self._pl.UInt8).clip(0, BINS - 1)
-        counts = dict(bins.value_counts().rows())
-        return low, high, [int(counts.get(index, 0)) for index in range(BINS)]
+        low, high = float(ordered[0]), float(ordered[-1])
+        starts = [int(ordered.search_sorted(low + (high - low) * index / BINS)) for index in range(BINS)] + [len(ordered)]
+        return low, high, [end - start for start, end in zip(starts, starts[1:])]
 
-    def worst(self, measure: str, most: int, is_larger: bool, more: Sequence[str] = (), groups: Sequence[str] = ()) -> list[dict[str, Any]]:
-        """The worst runs, the worst first; those of equal value in the order of the table."""
-        rows, col = self._read(measure, groups).select("value", "number"), self._pl.col
-        ends = rows["value"].bottom_k(most) if is_larger else rows["value"].top_k(most)
-        if not len(ends):
+    def worst(self, most: int, is_larger: bool, more: Iterable[str] = ()) -> list[dict[str, Any]]:
+        """The worst runs, the worst first: number, value, run, and more columns; those of equal value in the order of the table."""
+        ordered = self._ordered
+        most = min(most, len(ordered))
+        if not most:
             return []
-        is_bad = col("value") <= ends.max() if is_larger else col("value") >= ends.min()
-        order: dict[str, Any] = {"by": ["value", "number"], "descending": [not is_larger, False]}
-        found = rows.filter(is_bad).sort(**order).head(most)
-        names = list(dict.fromkeys(["number", "run", *(name for name in more if name in self.columns)]))
-        facts = self.frame.select(names).filter(col("number").is_in(found["number"].to_list())).collect(engine="streaming")
-        return list(found.join(facts, on="number", how="left").sort(**order).to_dicts())
+        value = self.table.pl.col("value")
+        worst = self._rows.filter(value <= ordered[most - 1] if is_larger else value >= ordered[-most]).select("number", "value")
+        found = worst.sort(["value", "number"], descending=[not is_larger, False]).head(most)
+        facts = self.table.rows(found["number"].to_list(), ["run", *more])
+        return [{**facts[row["number"]], **row} for row in found.to_dicts()]
 
 
-def paired(first: Table, second: Table, measure: str, is_larger: bool) -> Paired:
-    """Compares the runs that two studies have in common: the same arguments and the same swept values."""
-    pl = first._pl
-    both = first.values(measure, ["run"]).join(second.values(measure, ["run"]), on="run", suffix="_second")
-    difference = pl.col("value_second") - pl.col("value")
-    is_better = difference > 0 if is_larger else difference < 0
-    facts = both.select(
-        pl.len(), pl.col("value").mean().alias("a"), pl.col("value_second").mean().alias("b"), difference.mean().alias("mean"),
-        difference.std().alias("std"), is_better.mean().alias("share"),
-    )  # fmt: skip
-    count, mean_a, mean_b, mean, deviation, share = facts.collect(engine="streaming").row(0)
-    if not count:
-        raise StudyError(f"{first.folder} and {second.folder} have no run in common that has {measure}: the same arguments and swept values make the same run")
-    return Paired(measure, mean_a, mean_b, Interval.of(count, mean, deviation), share)
+class Pairs:
+    """The runs that two studies have in common: the same arguments and the same swept values."""
+
+    def __init__(self, first: Table, second: Table) -> None:
+        self.first, self.second = first, second
+        self._is_aligned = _have_same_rows(first, second)
+
+    def _values(self, measure: str) -> Any:
+        """Columns ``number`` (in the first study), ``a`` and ``b``: values of the runs that have one in both studies."""
+        pl, tables = self.first.pl, (self.first, self.second)
+        if self._is_aligned:
+            a, b = (table.frame.select(table.value(measure)).collect()["value"] for table in tables)
+            return pl.DataFrame({"a": a, "b": b}).with_row_index("number", 1).drop_nulls()
+        # A key has 64 bits: as a number it takes a third of the memory.
+        key = pl.col("run").str.to_integer(base=16, dtype=pl.UInt64)
+        a, b = (table.frame.select(key, "number", table.value(measure).alias(name)).drop_nulls() for table, name in zip(tables, "ab"))
+        return a.join(b, on="run").select("number", "a", "b").collect(engine="streaming")
+
+    def compare(self, measure: str, is_larger: bool, losses: int = 0) -> Paired:
+        """Compares a measure in the runs that have it in both studies."""
+        pl, both = self.first.pl, self._values(measure)
+        if not len(both):
+            folders = f"{self.first.folder} and {self.second.folder}"
+            raise StudyError(f"{folders} have no run in common that has {measure}: the same arguments and swept values make the same run")
+        difference = both["b"] - both["a"]
+        loss = -difference if is_larger else difference
+        interval = Interval.of(len(both), difference.mean(), difference.std())
+        end = max(loss.top_k(losses).min() or 0.0, 0.0) if losses else math.inf
+        worse = both.with_columns(loss.alias("loss")).filter((pl.col("loss") >= end) & (pl.col("loss") > 0))
+        worse = worse.sort(["loss", "number"], descending=[True, False]).head(losses).select("number", "a", "b")
+        return Paired(measure, float(both["a"].mean()), float(both["b"].mean()), interval, float((loss < 0).mean()), worse.rows())
+
+
+def _summary(group: tuple[Any, ...], count: int, mean: Optional[float], deviation: Optional[float], quantiles: Sequence[Optional[float]]) -> Summary:
+    low, median, high = (math.nan if quantile is None else quantile for quantile in quantiles)
+    return Summary(group, Interval.of(count, mean, deviation), low, median, high)
+
+
+def _have_same_rows(first: Table, second: Table) -> bool:
+    """Whether the same runs stand in the same order, as they do where only the graph differs: then nothing needs to be joined."""
+    pl = first.pl
+    count, other = (table.frame.select(pl.len()).collect().item() for table in (first, second))
+    if count != other:
+        return False
+    for start in range(0, count, _ROWS_AT_ONCE):
+        keys = [table.frame.select("run").slice(start, _ROWS_AT_ONCE).collect()["run"] for table in (first, second)]
+        if not (keys[0] == keys[1]).all():
+            return False
+    return True

@@ -44,12 +44,10 @@ def read_json(file: Path) -> Optional[dict[str, Any]]:
 
 
 def write_json(file: Path, value: Any) -> None:
-    """Writes a file in one step."""
-    part = file.with_name(f"{file.name}.{host()}.{os.getpid()}.{next(_numbers)}.part")
-    with part.open("w", encoding="utf-8") as stream:
+    """Writes a file that nobody reads before its folder is in place."""
+    with file.open("w", encoding="utf-8") as stream:
         json.dump(value, stream, sort_keys=True)
         stream.write("\n")
-    os.replace(part, file)
 
 
 class Store:
@@ -78,6 +76,15 @@ class Store:
         folder = self.folder / "tmp" / f"{key}.{host()}.{os.getpid()}.{next(_numbers)}"
         folder.mkdir(parents=True)
         return folder
+
+    @contextmanager
+    def replacing(self, place: Path) -> Iterator[Path]:
+        """A file to write, which then takes its place in one step. Like an attempt it is in ``tmp`` until then."""
+        part = self.folder / "tmp" / f"part.{host()}.{os.getpid()}.{next(_numbers)}"
+        for folder in (part.parent, place.parent):
+            folder.mkdir(parents=True, exist_ok=True)
+        yield part
+        os.replace(part, place)
 
     def result(self, key: str) -> Optional[dict[str, Any]]:
         """What a run that is done came to."""
@@ -120,8 +127,10 @@ class Store:
                 is_old = not (pid.isdigit() and Path("/proc", pid).exists() and int(pid) != os.getpid())
             else:
                 is_old = time.time() - entry.stat(follow_symlinks=False).st_mtime > STALE_S
-            if is_old:
+            if is_old and entry.is_dir(follow_symlinks=False):
                 shutil.rmtree(entry.path, ignore_errors=True)
+            elif is_old:
+                os.unlink(entry.path)
 
     @contextmanager
     def lock(self) -> Iterator[None]:

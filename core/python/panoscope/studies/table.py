@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ..columns import needed
-from .plan import Run
+from .plan import HASHES, Run
 from .store import TICKS, Store, read_json
 from .values import number
 from .worker import STATISTICS
 
 OPEN = "open"
 RUNS_FILE, TICKS_FILE, ATTEMPTS_FILE = "runs.parquet", "ticks.parquet", "attempts.parquet"
-HASHES = ("graph", "plugins", "models", "request", "inputs")
 _GROUP_ROWS = 100_000
 
 
@@ -30,7 +29,7 @@ def row_of(run: Run, position: int, result: Mapping[str, Any], hashes: Mapping[s
     row: dict[str, Any] = {"run": run.key, "number": position, "status": result.get("status", OPEN), "error": result.get("error")}
     row.update(_cells(run))
     known = result.get("hashes", hashes)
-    row.update({f"{name}_hash": known.get(name) for name in HASHES})
+    row.update({name: known.get(name.removesuffix("_hash")) for name in HASHES})
     row.update({"frames": result.get("frames"), "failed_calls": result.get("failed_calls")})
     row["files"] = list(result.get("files", []))
     for measure, values in sorted(result.get("measures", {}).items()):
@@ -59,19 +58,12 @@ def _ordered(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [*(name for name in names if name not in set(measures)), *measures]
 
 
-def _write(table: Any, file: Path) -> None:
-    """Writes a file in one step."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(f"{file.name}.{os.getpid()}.part")
-    needed("pyarrow.parquet", "a data set").write_table(table, part, row_group_size=_GROUP_ROWS)
-    os.replace(part, file)
-
-
-def write_rows(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
-    """Writes rows of any columns."""
-    arrow = needed("pyarrow", "a data set")
+def write_rows(rows: Sequence[Mapping[str, Any]], store: Store, file: str) -> None:
+    """Writes rows of any columns as a file of the data set."""
+    arrow, parquet = needed("pyarrow", "a data set"), needed("pyarrow.parquet", "a data set")
     columns = {name: _typed(arrow, name, [row.get(name) for row in rows]) for name in _ordered(rows)}
-    _write(arrow.table(columns), file)
+    with store.replacing(store.table / file) as part:
+        parquet.write_table(arrow.table(columns), part, row_group_size=_GROUP_ROWS)
 
 
 def write_attempts(runs: Iterable[Run], store: Store) -> None:
@@ -82,25 +74,23 @@ def write_attempts(runs: Iterable[Run], store: Store) -> None:
         if known is not None:
             rows.append({"run": run.key, "status": "", **known})
     if rows:
-        write_rows(rows, store.table / ATTEMPTS_FILE)
+        write_rows(rows, store, ATTEMPTS_FILE)
 
 
 def write_ticks(runs: Sequence[Run], store: Store) -> None:
-    """All ticks of the runs that are done, in their order; a run at a time is in memory."""
+    """All ticks of the runs that are done, in their order; a run at a time is in memory. Without any there is no such file."""
     arrow, parquet = needed("pyarrow", "a data set"), needed("pyarrow.parquet", "a data set")
     files = [(position, run, store.run(run.key) / TICKS) for position, run in enumerate(runs, 1)]
     files = [(position, run, file) for position, run, file in files if file.is_file()]
     if not files:
+        (store.table / TICKS_FILE).unlink(missing_ok=True)
         return
     measures = sorted(set().union(*(parquet.read_schema(file).names[3:] for _, _, file in files)))
     fixed = [("run", arrow.string()), ("number", arrow.int64())]
     fixed += [(name, arrow.int64()) for name in ("source", "tick", "capture_ns")]
     schema = arrow.schema(fixed + [(name, arrow.float64()) for name in measures])
-    place = store.table / TICKS_FILE
-    place.parent.mkdir(parents=True, exist_ok=True)
-    part = place.with_name(f"{place.name}.{os.getpid()}.part")
     waiting: list[Any] = []
-    with parquet.ParquetWriter(part, schema) as writer:
+    with store.replacing(store.table / TICKS_FILE) as part, parquet.ParquetWriter(part, schema) as writer:
         for position, run, file in files:
             table = parquet.read_table(file)
             count = table.num_rows
@@ -112,4 +102,3 @@ def write_ticks(runs: Sequence[Run], store: Store) -> None:
                 waiting = []
         if waiting:
             writer.write_table(arrow.concat_tables(waiting), row_group_size=_GROUP_ROWS)
-    os.replace(part, place)

@@ -9,12 +9,15 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 from .. import _native
+from ..columns import needed
 from .store import StudyError
 
 MAX_STEPS = 10_000
+_STREAMS = ("rtsp", "rtsps", "rtmp", "http", "https", "udp", "srt", "tcp")
+"""Addresses that nodes read by themselves."""
 
 
 def number(text: str) -> Any:
@@ -91,13 +94,26 @@ def files_of(path: str) -> list[Path]:
     return sorted(file for file in place.parent.glob(pattern) if file.is_file()) if pattern and place.parent.is_dir() else []
 
 
+def store_of(address: str) -> Optional[tuple[Any, str]]:
+    """The file system of fsspec that an address such as ``s3://archive/1.mkv`` names, and the path there; None for a path of this machine."""
+    scheme, separator, _ = address.partition("://")
+    if not separator or scheme in _STREAMS:
+        return None
+    system, path = needed("fsspec.core", f"the address {address}").url_to_fs(address)
+    return system, str(path)
+
+
 def stats(paths: Sequence[str]) -> dict[str, list[Any]]:
     """Size and time of change of each file; cheap, where a hash reads them."""
     found: dict[str, list[Any]] = {}
     for path in paths:
-        files = files_of(path)
-        facts = [(os.fspath(file), *((stat := file.stat()).st_size, stat.st_mtime_ns)) for file in files]
-        found[path] = [len(files), digest(facts)]
+        place = store_of(path)
+        if place is None:
+            files = files_of(path)
+            facts: Any = [(os.fspath(file), *((stat := file.stat()).st_size, stat.st_mtime_ns)) for file in files]
+        else:
+            facts = place[0].find(place[1], detail=True)
+        found[path] = [len(facts), digest(facts)]
     return found
 
 

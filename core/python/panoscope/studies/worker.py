@@ -9,6 +9,7 @@ import shutil
 import socket
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Optional, TypedDict
@@ -20,7 +21,7 @@ from ..columns import needed
 from ..errors import PanoscopeError
 from . import process
 from .store import COMMAND, FILES, FILES_PLACE, INPUTS, LOG, RESULT, TICKS, Store, read_json, write_json
-from .values import hash_of_inputs, stats
+from .values import hash_of_inputs, stats, store_of
 
 DONE, KEPT, FAILED, LOST, UNFIT = "done", "kept", "failed", "lost", "unfit"
 """Outcomes: lost runs are tried again, for a worker that is unfit another one takes its runs."""
@@ -28,8 +29,6 @@ STATISTICS = ("mean", "median", "min", "max", "deviation", "last", "count", "mis
 _SIGNALS = (-1, -2, -9, -15, 129, 130, 143)
 """How a run ends that was ended from outside: nothing is wrong with it."""
 _MAX_ERROR = 2000
-_REMOTE_STREAMS = ("rtsp", "rtsps", "rtmp", "http", "https", "udp", "srt", "tcp")
-"""Addresses that nodes read by themselves."""
 
 
 class Task(TypedDict):
@@ -98,22 +97,23 @@ def _unfit(folder: str, plugins: str) -> str:
     return ""
 
 
-def _fetched(words: Sequence[str], scratch: Path) -> list[str]:
-    """The words with files in place of the addresses of stores such as ``s3://``."""
-    found: list[str] = []
-    for word in words:
-        option, _, value = word.partition("=") if word.startswith("--graph-arg=") else ("", "", "")
+def _fetched(task: Task, scratch: Path) -> tuple[list[str], list[str]]:
+    """Words and inputs of a run, with copies in place of what lies in stores such as ``s3://``."""
+    words, copies = [], dict[str, str]()
+    for word in task["words"]:
+        option, _, value = word.partition("=")
         name, _, address = value.partition("=")
-        scheme = address.split("://", 1)[0] if "://" in address else ""
-        if not scheme or scheme in _REMOTE_STREAMS:
-            found.append(word)
+        place = store_of(address) if option == "--graph-arg" else None
+        if place is None:
+            words.append(word)
             continue
-        system, path = needed("fsspec.core", f"the address {address}").url_to_fs(address)
+        system, path = place
         local = scratch / "inputs" / name / path.rsplit("/", 1)[-1]
         local.parent.mkdir(parents=True, exist_ok=True)
         system.get(path, os.fspath(local), recursive=system.isdir(path))
-        found.append(f"{option}={name}={local}")
-    return found
+        copies[address] = os.fspath(local)
+        words.append(f"{option}={name}={local}")
+    return words, [copies.get(path, path) for path in task["inputs"]]
 
 
 def _statistics(values: Sequence[Optional[float]]) -> dict[str, Any]:
@@ -172,26 +172,30 @@ def _options(task: Task, files: str) -> list[str]:
     return options
 
 
-def _command(task: Task, scratch: Path) -> list[str]:
+def _command(task: Task, words: Sequence[str], scratch: Path) -> list[str]:
     options = [*_options(task, os.fspath(scratch / FILES)), f"--report={scratch / 'report.json'}"]
     options += [f"--measure={measure}" for measure in task["measures"]]
-    return [os.fspath(installation.use()), "run", *_fetched(task["words"], scratch), *options]
+    return [os.fspath(installation.use()), "run", *words, *options]
 
 
-def _attempt(task: Task, store: Store, scratch: Path) -> Outcome:
+def _attempt(task: Task, store: Store, scratch: Path, slots: Optional[process.Slots]) -> Outcome:
     key, where = task["key"], name()
 
     def outcome(kind: str, error: str = "") -> Outcome:
         return {"key": key, "outcome": kind, "error": error, "worker": where}
 
-    hashes = {**task["hashes"], "inputs": hash_of_inputs(task["inputs"])}
+    words, inputs = _fetched(task, scratch)
+    hashes = {**task["hashes"], "inputs": hash_of_inputs(inputs)}
     facts = {"stats": stats(task["inputs"])}
     known = store.result(key)
     if known is not None and known["hashes"] == hashes:
-        write_json(store.run(key) / INPUTS, facts)
+        with store.replacing(store.run(key) / INPUTS) as file:
+            write_json(file, facts)
         return outcome(KEPT)
     (scratch / FILES).mkdir()
-    ended = process.run(_command(task, scratch), scratch / LOG, task["max_s"], task["max_memory_mb"])
+    command = _command(task, words, scratch)
+    with slots or nullcontext():
+        ended = process.run(command, scratch / LOG, task["max_s"], task["max_memory_mb"])
     shutil.rmtree(scratch / "inputs", ignore_errors=True)
     attempt = {"worker": where, "seconds": ended.seconds, "cpu_s": ended.cpu_s, "peak_mb": ended.peak_mb}
     if ended.code in _SIGNALS and not ended.limit:
@@ -216,8 +220,8 @@ def _attempt(task: Task, store: Store, scratch: Path) -> Outcome:
     return outcome(DONE)
 
 
-def run(task: Task) -> Outcome:
-    """Does a run and puts its folder in place. Raises nothing: what went wrong is in the outcome."""
+def run(task: Task, slots: Optional[process.Slots] = None) -> Outcome:
+    """Does a run, its process in one of the slots, and puts its folder in place. Raises nothing: what went wrong is in the outcome."""
     where = name()
     try:
         why = _unfit(task["folder"], json.dumps(task["plugins"]))
@@ -226,7 +230,7 @@ def run(task: Task) -> Outcome:
         store = Store(Path(task["study"]))
         scratch = store.scratch(task["key"])
         try:
-            return _attempt(task, store, scratch)
+            return _attempt(task, store, scratch, slots)
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
     except Exception as error:  # A full disk, a folder that is gone: another attempt may succeed, elsewhere too.

@@ -9,7 +9,7 @@ from typing import Optional, Union
 from .. import installation
 from ..columns import Rows
 from . import process
-from .statistics import Table, is_larger_better
+from .statistics import Measure, Table, is_larger_better
 from .store import COMMAND, FILES_PLACE, MARK, Store, StudyError, read_json
 
 FOLDER = "worst"
@@ -57,7 +57,7 @@ def worst(
     table.checked([measure])
     is_larger = is_larger_better(measure) if larger is None else larger
     request = read_json(folder / MARK) or {}
-    rows = Rows(table.worst(measure, n, is_larger, [*request.get("columns", []), *request.get("sweep", {})]))
+    rows = Rows(Measure(table, measure).worst(n, is_larger, [*request.get("columns", []), *request.get("sweep", {})]))
     for row in rows:
         row["folder"] = os.fspath(Store(folder).run(row["run"]))
         if record:
