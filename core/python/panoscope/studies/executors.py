@@ -135,7 +135,7 @@ class Dask:
         if is_stranded:
             handle.cancel()
             raise StudyError("the workers that it was for are gone")
-        result: Outcome = self._outcomes.pop(handle, None) or handle.result(self._silent_s)
+        result: Outcome = self._outcomes.pop(handle) if handle in self._outcomes else handle.result(self._silent_s)
         return result
 
     def avoid(self, name: str) -> bool:
