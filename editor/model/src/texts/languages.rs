@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use super::{Language, Phrase, Value, bytes, decimal, declared, files, filled, phrase, plain, set_language, text};
+use super::{
+    Language, Phrase, Value, bytes, decimal, declared, files, filled, phrase, plain, set_language, syntax, text,
+};
 
 type Texts = BTreeMap<String, BTreeSet<String>>;
 

@@ -7,7 +7,7 @@
 use crate::simd::dispatch;
 use crate::stereo::confidence::ConfidenceParams;
 use crate::stereo::filter_input::FilterInput;
-use crate::stereo::runs::{Runs, Tally, is_near};
+use crate::stereo::runs::{Runs, Tally};
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::{Parallel, Rect, SharedMut, Simd, ViewMut};
 
@@ -183,7 +183,9 @@ impl KeptRegions {
             }
             // The first row of the ROI has no runs above.
             let (upper, lower) = (input.disparity.row(y.saturating_sub(1)), input.disparity.row(y));
-            self.runs.end_row(|shared| is_near(&upper[shared.clone()], &lower[shared], MAX_STEP_PX));
+            self.runs.end_row(|shared| {
+                upper[shared.clone()].iter().zip(&lower[shared]).any(|(a, b)| (a - b).abs() <= MAX_STEP_PX)
+            });
         }
     }
 }

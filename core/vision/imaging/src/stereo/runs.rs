@@ -8,10 +8,6 @@ pub(crate) trait Tally: Copy {
     fn add(&mut self, other: Self);
 }
 
-impl Tally for () {
-    fn add(&mut self, (): Self) {}
-}
-
 /// Neighbouring pixels of one row and one piece.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Run<T> {
@@ -113,9 +109,4 @@ impl<T: Tally> Runs<T> {
             self.runs[a].tally.add(tally);
         }
     }
-}
-
-/// Whether a pixel of two rows differs by at most `max_step` from the one below it. NaN differs from everything.
-pub(crate) fn is_near(upper: &[f32], lower: &[f32], max_step: f32) -> bool {
-    upper.iter().zip(lower).any(|(a, b)| (a - b).abs() <= max_step)
 }

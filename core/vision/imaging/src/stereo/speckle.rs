@@ -1,14 +1,25 @@
 //! Removes speckles: small connected patches whose disparity differs from their surroundings. Wrong matches form such patches.
 
-use std::ops::Range;
-
-use crate::stereo::runs::{Runs, is_near};
 use crate::{Rect, ViewMut};
+
+/// Neighbouring pixels of one row and one patch. Not the runs of other filters, with which noisy maps took a tenth longer.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    /// Columns.
+    start: u32,
+    end: u32,
+    /// A run of the same patch, in the end its first one.
+    parent: u32,
+    /// Pixels of the patch, where this run is its first one.
+    pixels: u32,
+}
 
 /// Finds and clears speckles. Reuses its memory.
 #[derive(Debug, Default)]
 pub struct SpeckleFilter {
-    runs: Runs<()>,
+    runs: Vec<Run>,
+    /// First run of each row, and the end.
+    rows: Vec<u32>,
 }
 
 impl SpeckleFilter {
@@ -20,34 +31,38 @@ impl SpeckleFilter {
             return 0;
         }
         let columns = roi.x..roi.x + roi.width;
-        let runs = &mut self.runs;
-        runs.clear();
-        let view = disparity.as_view();
+        self.runs.clear();
+        self.rows.clear();
         for y in roi.y..roi.y + roi.height {
-            // The first row of the ROI has no runs above.
-            let (upper, row) = (&view.row(y.saturating_sub(1))[columns.clone()], &view.row(y)[columns.clone()]);
-            find_runs(row, step_px, |found| runs.push(y, found, ()));
-            runs.end_row(|shared| is_near(&upper[shared.clone()], &row[shared], step_px));
+            let first = self.runs.len();
+            self.rows.push(first as u32);
+            let view = disparity.as_view();
+            let row = &view.row(y)[columns.clone()];
+            find_runs(row, step_px, &mut self.runs);
+            if y > roi.y {
+                let above = self.rows[self.rows.len() - 2] as usize..first;
+                join(&mut self.runs, above, (&view.row(y - 1)[columns.clone()], row), step_px);
+            }
         }
-        let (mut gone, mut index) = (0, 0);
-        for y in roi.y..roi.y + roi.height {
-            let row = &mut disparity.row_mut(y)[columns.clone()];
-            while index < runs.len() && runs.get(index).row() == y {
-                let patch = runs.root(index);
-                if runs.get(patch).area() <= area_px {
-                    let cleared = runs.get(index).columns();
-                    gone += cleared.len();
-                    row[cleared].fill(f32::NAN);
+        self.rows.push(self.runs.len() as u32);
+        let mut gone = 0;
+        for (line, ends) in self.rows.windows(2).enumerate() {
+            let row = &mut disparity.row_mut(roi.y + line)[columns.clone()];
+            for index in ends[0] as usize..ends[1] as usize {
+                let run = self.runs[index];
+                let patch = first_of(&mut self.runs, index);
+                if self.runs[patch].pixels as usize <= area_px {
+                    row[run.start as usize..run.end as usize].fill(f32::NAN);
+                    gone += (run.end - run.start) as usize;
                 }
-                index += 1;
             }
         }
         gone
     }
 }
 
-/// Calls `add` with the columns of each run of a row.
-fn find_runs(row: &[f32], step_px: f32, mut add: impl FnMut(Range<usize>)) {
+/// Appends the runs of a row.
+fn find_runs(row: &[f32], step_px: f32, runs: &mut Vec<Run>) {
     let mut start = 0;
     while start < row.len() {
         if row[start].is_nan() {
@@ -59,9 +74,44 @@ fn find_runs(row: &[f32], step_px: f32, mut add: impl FnMut(Range<usize>)) {
         while end < row.len() && (row[end] - row[end - 1]).abs() <= step_px {
             end += 1;
         }
-        add(start..end);
+        let (parent, pixels) = (runs.len() as u32, (end - start) as u32);
+        runs.push(Run { start: start as u32, end: end as u32, parent, pixels });
         start = end;
     }
+}
+
+/// Joins the runs of two rows that touch: those `above`, and those behind them.
+fn join(runs: &mut [Run], above: std::ops::Range<usize>, (upper, lower): (&[f32], &[f32]), step_px: f32) {
+    let (mut a, mut b) = (above.start, above.end);
+    while a < above.end && b < runs.len() {
+        let (over, under) = (runs[a], runs[b]);
+        let shared = over.start.max(under.start) as usize..over.end.min(under.end) as usize;
+        let touches = !shared.is_empty()
+            && upper[shared.clone()].iter().zip(&lower[shared]).any(|(a, b)| (a - b).abs() <= step_px);
+        if touches {
+            let (a, b) = (first_of(runs, a), first_of(runs, b));
+            let (first, other) = (a.min(b), a.max(b));
+            if first != other {
+                runs[other].parent = first as u32;
+                runs[first].pixels += runs[other].pixels;
+            }
+        }
+        if over.end <= under.end {
+            a += 1;
+        } else {
+            b += 1;
+        }
+    }
+}
+
+/// The first run of the patch that a run belongs to. Shortens the way there.
+fn first_of(runs: &mut [Run], mut index: usize) -> usize {
+    while runs[index].parent as usize != index {
+        let next = runs[runs[index].parent as usize].parent;
+        runs[index].parent = next;
+        index = next as usize;
+    }
+    index
 }
 
 #[cfg(test)]
