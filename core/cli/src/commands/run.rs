@@ -50,6 +50,9 @@ pub struct Arguments {
     /// Ticks that each source makes; default: until the sources end or Ctrl-C.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
+    /// Maximum number of ticks that each source makes; unlike with --frames, one that ends before is no failure.
+    #[arg(long, conflicts_with = "frames", value_parser = clap::value_parser!(u64).range(1..))]
+    max_frames: Option<u64>,
     /// Threads of the pool; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -109,6 +112,11 @@ pub struct Arguments {
 }
 
 impl Arguments {
+    /// Number of ticks after which each source ends.
+    fn last_frame(&self) -> Option<u64> {
+        self.frames.or(self.max_frames)
+    }
+
     /// Address for clients of Foxglove, and whether they may set parameters.
     pub fn foxglove(&self) -> Option<(Address, bool)> {
         self.foxglove.map(|address| (address, self.foxglove_set))
@@ -304,7 +312,7 @@ fn engine_options(arguments: &Arguments, progress: &Progress, numbers: &TickNumb
     };
     Ok(Options {
         threads: arguments.threads.map_or(0, usize::from),
-        frames: arguments.frames,
+        frames: arguments.last_frame(),
         paced: !arguments.unpaced,
         graph_dir: arguments.graph.parent().unwrap_or(Path::new("")).to_owned(),
         log: Some(log_lines::sink(arguments.verbose, arguments.log_format, stderr_color(), progress.line_writer())),
@@ -338,7 +346,7 @@ pub fn run_with(
     let Some(mut outlets) = Outlets::start(arguments, server, &ready.graph.name) else {
         return Ok(RunEnd::Not(End::Failed));
     };
-    let mut progress = Progress::new(&ready.graph.name, arguments.frames, !arguments.headless && !is_json);
+    let mut progress = Progress::new(&ready.graph.name, arguments.last_frame(), !arguments.headless && !is_json);
     let numbers = match TickNumbers::new(&arguments.measure, &ready.text, &ready.graph, &ready.catalog) {
         Ok(numbers) => numbers,
         Err(error) => {

@@ -283,7 +283,7 @@ def batch(
     descriptions; or patterns of files by argument, ``{"left": "{operation}/{clip}_left.mkv", "right": "{operation}/{clip}_right.mkv"}``, whose names
     are columns. ``sweep`` has values of parameters, of which all combinations are run for each row: a list, or (from, to, steps). ``args`` are
     arguments of all runs. ``measures`` are outputs with scalars or tables, ``node.output.column``, numbers that nodes report, or ``*``; ``ticks``
-    keeps them per tick. ``frames`` is the number of ticks of each source.
+    keeps them per tick. ``frames`` is the maximum number of ticks of each source.
 
     ``executor`` is an executor of ``concurrent.futures``, a ``distributed.Client``, the module ``ray``, or the address of a scheduler; without it
     ``jobs`` runs go on at a time on this machine. A worker of Dask that says nothing for ``silent_s`` is taken out, its runs go to others. ``out`` is a folder that all workers reach under the same path, as are graph and inputs.

@@ -166,7 +166,7 @@ def _options(task: Task, files: str) -> list[str]:
     """Options that a run and its recording have; ``files`` is the folder that nodes write into."""
     options = ["--headless", "--unpaced", f"--threads={task['threads']}"]
     if task["frames"] is not None:
-        options.append(f"--frames={task['frames']}")
+        options.append(f"--max-frames={task['frames']}")
     for param, path in sorted(task["written"].items()):
         options += ["--set", f"{param}={json.dumps(f'{files}/{path}')}"]
     return options
