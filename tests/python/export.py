@@ -330,6 +330,37 @@ class ExportTest(unittest.TestCase):
         np.testing.assert_array_equal(names["left"], packet.value)
         self.assertEqual((names["tick"], names["capture_ns"], names["length"]), (packet.tick, packet.capture_ns, packet.value.size))
 
+    def test_other_programs_seek_in_a_recording(self):
+        graph, path = self.folder / "large.toml", self.folder / "large.mcap"
+        graph.write_text(
+            'mode = "batch"\nplugins = ["flow"]\n[nodes.a]\ntype = "frames"\nparams = { width_px = 640, height_px = 480, pattern = "noise", rate_hz = 200.0 }\n'
+            '[nodes.end]\ntype = "drain"\ninputs = { image = "a.image" }\n'
+        )
+        code, words = command("record", graph, "-o", path, "--frames", 24, "--uncompressed", "--headless")
+        self.assertEqual(code, 0, words)
+
+        class Counting(io.BufferedReader):
+            count = 0
+
+            def read(self, size=-1):
+                data = super().read(size)
+                self.count += len(data)
+                return data
+
+        with Counting(io.FileIO(path)) as file:
+            reader = make_reader(file, validate_crcs=True)
+            summary = reader.get_summary()
+            self.assertGreaterEqual(len(summary.chunk_indexes), 4)
+            self.assertEqual(summary.statistics.chunk_count, len(summary.chunk_indexes))
+            late = sorted(summary.chunk_indexes, key=lambda chunk: chunk.message_start_time)[-2].message_start_time
+            file.count = 0
+            found = [message.log_time for _, _, message in reader.iter_messages(topics=["a.image"], start_time=late)]
+            # Two or three chunks of 4 MiB of 29 MB.
+            self.assertLess(file.count, path.stat().st_size / 2)
+            every = [message.log_time for _, _, message in reader.iter_messages(topics=["a.image"])]
+        self.assertEqual(len(every), 24)
+        self.assertEqual(found, [time for time in sorted(every) if time >= late])
+
     def test_ports_and_ticks_are_chosen_alike(self):
         targets = {name: self.folder / f"some.{name}" for name in ("folder", "foxglove", "rerun")}
         words = [word for name, path in targets.items() for word in (f"--{name}", path)]

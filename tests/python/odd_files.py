@@ -160,6 +160,8 @@ class Case:
     words: str = ""
     look: Callable[[Path], bool] | None = None
     """Whether the folder `out` has the right values."""
+    command: tuple[str, ...] = ()
+    """A command in place of the run of a graph."""
 
 
 def saved(image: Image.Image, format: str, **options) -> bytes:
@@ -309,6 +311,8 @@ HEADER = b"IHDR" + struct.pack(">II", 200_000, 200_000) + PNG[24:29]
 BOMB = PNG[:12] + HEADER + struct.pack(">I", zlib.crc32(HEADER)) + PNG[33:]
 YML = CALIBRATION.encode()
 NONE = mcap.writer.CompressionType
+WRAP = ("dicom", "wrap", "l.png", "--entry-file", "e.dcm", "-o", "out")
+SKILL = ("eval", "skill", "t.csv", "--json", "skill.json")
 
 CASES = [
     # Pictures.
@@ -378,6 +382,12 @@ CASES = [
     Case("bag without messages", bag(NONE.ZSTD, 0), BAG, "odd.mcap", None, "no topic|no messages|empty"),
     Case("bag of an unknown encoding", bag(NONE.ZSTD, 3, encoding="yuv444_x"), BAG, "odd.mcap", None, "yuv444_x"),
     Case("bag of ROS 1", written("odd.bag", b"#ROSBAG V2.0\n" + b"\0" * 200), BAG, "odd.bag", None, "ROS 1"),
+    Case("text named .dcm", with_pair("e.dcm", b"not DICOM\n"), "", "e.dcm", None, "e.dcm", command=WRAP),
+    Case("empty entry of DICOM", with_pair("e.dcm", b""), "", "e.dcm", None, "e.dcm", command=WRAP),
+    # Tables.
+    Case("table with semicolons", with_pair("t.csv", b"seq;capture_s;x_mm\n0;0,1;5,5\n"), "", "t.csv", None, "t.csv", command=SKILL),
+    Case("table without rows", with_pair("t.csv", b"seq,capture_s,x_mm,y_mm,z_mm\n"), "", "t.csv", None, "t.csv", command=SKILL),
+    Case("workbook named .csv", with_pair("t.csv", zipped("xl/workbook.xml", b"<workbook/>")), "", "t.csv", None, "t.csv", command=SKILL),
     Case("text named .mcap", written("odd.mcap", b"not a bag\n"), BAG, "odd.mcap", None, "odd.mcap"),
 ]
 
@@ -388,7 +398,8 @@ def run(case: Case) -> tuple[str, str]:
         folder = Path(name)
         case.make(folder)
         (folder / "graph.toml").write_text(HEAD + case.graph.replace("FILE", case.file))
-        done = subprocess.run([COMMAND, "run", "--headless", "graph.toml"], cwd=folder, capture_output=True, text=True, timeout=120)
+        words = case.command or ("run", "--headless", "graph.toml")
+        done = subprocess.run([COMMAND, *words], cwd=folder, capture_output=True, text=True, timeout=120)
         said = done.stdout + done.stderr
         out = folder / "out"
         files = [file for file in out.glob("*") if not file.name.endswith((".log", ".partial"))] if out.is_dir() else []

@@ -1,5 +1,6 @@
 //! How this Panoscope was installed, for matching advice.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::installed::MARKER;
@@ -56,6 +57,19 @@ impl Installation {
         Self { kind, program_dir: program_dir.to_owned(), graph_dir }
     }
 
+    /// Arguments of a command in which graphs and overlays that do not exist are those of this installation, as `ps.Graph` finds them. Values of options
+    /// other than `--with` stay: they may name new files.
+    pub fn with_its_graphs(&self, words: Vec<OsString>) -> Vec<OsString> {
+        let Some(dir) = &self.graph_dir else { return words };
+        let is_value = |at: usize| words[at - 1].to_str().is_some_and(|word| word.starts_with('-') && word != "--with");
+        let shipped = |(at, word): (usize, &OsString)| {
+            let (file, installed) = (Path::new(word), dir.join(word));
+            let is_graph = at > 0 && !is_value(at) && file.extension().is_some_and(|ending| ending == "toml");
+            (is_graph && !file.exists() && installed.is_file()).then(|| installed.into_os_string())
+        };
+        words.iter().enumerate().map(|(at, word)| shipped((at, word)).unwrap_or_else(|| word.clone())).collect()
+    }
+
     /// Description with the kind and the folder of the programs.
     pub fn description(&self) -> String {
         let kind = match self.kind {
@@ -103,6 +117,23 @@ mod tests {
         }
         let graphs = Installation::of(&library).graph_dir.unwrap();
         assert_eq!(graphs, data.join("graphs").canonicalize().unwrap());
+        // Its graphs are found by their names; files of the user, new files and other words stay.
+        fs::write(graphs.join("shipped.toml"), "").unwrap();
+        let words = [
+            "panoscope",
+            "run",
+            "shipped.toml",
+            "--with",
+            "shipped.toml",
+            "-o",
+            "shipped.toml",
+            "none.toml",
+            "--x=shipped.toml",
+        ];
+        let shipped = graphs.join("shipped.toml").into_os_string();
+        let found = Installation::of(&library).with_its_graphs(words.map(OsString::from).to_vec());
+        let changed: Vec<usize> = (0..words.len()).filter(|at| found[*at] != words[*at]).collect();
+        assert_eq!((changed, &found[2], &found[4]), (vec![2, 4], &shipped, &shipped));
         fs::remove_dir_all(prefix).unwrap();
     }
 }

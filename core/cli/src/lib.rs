@@ -29,6 +29,7 @@ use panoscope_graph::command_line::{self, CommandLine};
 use panoscope_host::loader::isolated;
 
 use beside::Words;
+use installation::Installation;
 
 /// Runs graphs of image-processing nodes on live video of two-camera endoscopes.
 #[derive(Parser)]
@@ -146,7 +147,7 @@ fn is_of_the_lab(program: &clap::Command, words: &[OsString]) -> bool {
 /// Parses the command line of this process. Options that the graph declares are included, also in its help. Exits if
 /// the command line is wrong or requests help.
 pub fn parse<T: FromArgMatches>(mut command: clap::Command) -> T {
-    let words: Vec<OsString> = std::env::args_os().collect();
+    let words = Installation::current().with_its_graphs(std::env::args_os().collect());
     let CommandLine { words, help, problem } = match is_of_the_lab(&command, &words) {
         true => CommandLine { words, ..CommandLine::default() },
         false => {

@@ -281,7 +281,7 @@ class Draft:
         """Counts changes."""
 
     def _search(self) -> _native.Catalogue:
-        return _native.Catalogue([self.base / folder for folder in [*self._folders, *(plugin.folder for plugin in self._classes)]])
+        return _native.Catalogue([*(self.base / folder for folder in self._folders), *(plugin.folder for plugin in self._classes)])
 
     def take(self, cls: type) -> str:
         """Makes the node type of a class known here; returns its name."""

@@ -102,7 +102,8 @@ impl Track {
         let is_csv = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
         let mut line = 0;
         let form = if is_csv {
-            let head = lines.next().with_context(|| format!("{name} is empty: no tip was written"))??;
+            let head = lines.next().with_context(|| format!("{name} is empty: no tip was written"))?;
+            let head = head.with_context(|| format!("{name}, line 1"))?;
             line = 1;
             let columns =
                 cells(head.trim_end()).with_context(|| format!("{name}: the first line ends inside a quoted name"))?;
