@@ -137,6 +137,11 @@ class Plans(Case):
 
 
 class Runs(Case):
+    def test_the_number_of_frames_is_a_maximum(self) -> None:
+        self.assertEqual(self.batch("short", self.table(1), frames=2).counts["done"], 1)
+        self.assertEqual(self.batch("long", self.table(1), frames=5).counts["done"], 1, "a clip of three frames")
+        self.assertEqual([self.rows(out)[0]["frames"] for out in ("short", "long")], [2, 3])
+
     def test_a_run_is_done_once_and_again_when_what_it_depends_on_changes(self) -> None:
         options = {"sweep": {"light.gain": [1.0, 2.0]}, "ticks": True}
         study = self.batch("study", self.table(2), **options)
