@@ -45,7 +45,8 @@ fn ns_per_tick(loader: &Loader, text: &str, ticks: u64) -> f64 {
 fn main() {
     let mut numbers = std::env::args().filter_map(|word| word.parse::<u64>().ok());
     let (rounds, ticks) = (numbers.next().unwrap_or(8), numbers.next().unwrap_or(8_000));
-    let given: Vec<usize> = numbers.map(|number| number as usize).collect();
+    let mut given: Vec<usize> = numbers.map(|number| number as usize).collect();
+    given.sort_unstable();
     let path = std::env::var_os("PANOSCOPE_PLUGIN_PATH").expect("PANOSCOPE_PLUGIN_PATH is set");
     let loader = Loader::search(&std::env::split_paths(&path).collect::<Vec<PathBuf>>());
     let cases = match &given[..] {

@@ -43,6 +43,8 @@ const WALK_SHARE: u64 = 8;
 const SHORT_WALK_NS: u64 = 100_000;
 /// Time that two busy threads spend to hand a tick over. Working at the same time pays only if both have more to do.
 const HAND_OVER_NS: u64 = 1_000;
+/// Maximum time of a chain that a source runs to save the hand-over: a longer one gains more from a thread of its own.
+const SHORT_CHAIN_NS: u64 = 3_000;
 /// Ticks for which a source that does not wait for capture times hands over what it makes, once that pays.
 const HANDED_OVER: u32 = 32;
 
@@ -210,7 +212,7 @@ impl Shared {
         let is_plain = runtime.kind != NodeKind::Realtime && runtime.declared.inputs_len == 0;
         let first = plan.sole_chain(node).filter(|first| is_plain && is_next(first));
         pace.chain_ns = first.map_or(u64::MAX, |first| first.runtime.runner.chain_ns());
-        let hands_over = pace.chain_ns > MAX_WALK_NS || pace.chain_ns.min(runtime.runner.chain_ns()) > HAND_OVER_NS;
+        let hands_over = pace.chain_ns > SHORT_CHAIN_NS || pace.chain_ns.min(runtime.runner.chain_ns()) > HAND_OVER_NS;
         pace.to_hand_over = if hands_over { HANDED_OVER } else { pace.to_hand_over.saturating_sub(1) };
         if !Arc::ptr_eq(&pace.region, plan.region_of(node)) {
             pace.region = Arc::clone(plan.region_of(node));
