@@ -320,16 +320,24 @@ fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
     let found = panoscope_data::calibration::read(&[PathBuf::from(&out)]).expect("the result is a calibration");
     assert!(found.rms_px < 0.4 && (found.baseline_mm - 83.3).abs() < 1.0, "{found:?}");
     assert!((found.left.fx / found.left.fy - 1.0).abs() < 0.005, "{found:?}");
-    // Fewer views are enough for a refusal.
-    let pattern = |side: &str| data.join(format!("{side}1?.jpg")).display().to_string();
-    let (left, right) = (pattern("left"), pattern("right"));
+    // The fewest views are enough for a refusal.
+    let few = |side: &str| {
+        let views = (1..=5).map(|view| data.join(format!("{side}0{view}.jpg")));
+        let folder = Path::new(&out).with_file_name(side);
+        std::fs::create_dir_all(&folder).expect("temporary files can be written");
+        for view in views {
+            std::fs::copy(&view, folder.join(view.file_name().expect("a name"))).expect("a copy");
+        }
+        folder.join("*.jpg").display().to_string()
+    };
+    let (left, right) = (few("left"), few("right"));
     let (code, _, errors) =
         run(&["calibrate", "--left", &right, "--right", &left, "--board", "chessboard:9x6:25mm", "-o", &out]);
     assert!(code == 1 && errors.contains("left and right look exchanged"), "{code}: {errors}");
     // With another board nothing is found; every view is named.
     let (code, _, errors) =
         run(&["calibrate", "--left", &left, "--right", &right, "--board", "chessboard:13x4:25mm", "-o", &out]);
-    assert!(code == 1 && errors.contains("left out: left12.jpg right12.jpg: no board was found"), "{code}: {errors}");
+    assert!(code == 1 && errors.contains("left out: left02.jpg right02.jpg: no board was found"), "{code}: {errors}");
 }
 
 #[test]

@@ -46,6 +46,7 @@ pub const RESERVED_ARGS: &[&str] = &[
     "language",
     "lock",
     "log_format",
+    "max_frames",
     "measure",
     "minutes",
     "new_key",
