@@ -37,8 +37,15 @@ fn connection(firmware: &Firmware) -> Connection {
     Connection { path: firmware.path().into(), baud: 921_600, answer_within: Duration::from_millis(200) }
 }
 
+/// Starts a guard. An arm whose thread a loaded machine holds up too long is asked again.
 fn start(firmware: &Firmware, folder: &Folder) -> Result<Guard, GuardError> {
-    Guard::start(&connection(firmware), Path::new(""), Some(&folder.0))
+    let begin = Instant::now();
+    loop {
+        match Guard::start(&connection(firmware), Path::new(""), Some(&folder.0)) {
+            Err(GuardError::Refused(words)) if words.contains("no arm answered") && begin.elapsed() < LIMIT => {}
+            ended => return ended,
+        }
+    }
 }
 
 /// A patient arm: its watchdog tolerates a loaded machine.
@@ -395,6 +402,7 @@ fn a_stop_survives_restart_crash_and_another_path() {
     let status = drive(&mut guard, &mut Vec::new(), || request(reset), |_| true);
     assert_eq!(status.expect("it runs").stop, Some(Cause::EmergencyStop));
     moving(&mut guard, &firmware, &mut reset);
+    let clears = firmware.log().clears;
     // The guard is killed while the arm moves: the arm's own watchdog holds it, and the next start is stopped.
     assert!(rustix_kill(&guard), "killed");
     assert!(firmware.wait(LIMIT, |log| log.watchdog == 1), "the arm's watchdog");
@@ -403,7 +411,7 @@ fn a_stop_survives_restart_crash_and_another_path() {
     let mut guard = start(&firmware, &folder).expect("started");
     let status = drive(&mut guard, &mut Vec::new(), || request(0), |_| true).expect("it runs");
     assert_eq!(status.stop, Some(Cause::Interrupted));
-    assert_eq!(firmware.log().clears, 2, "the start does not clear the arm's stop");
+    assert_eq!(firmware.log().clears, clears, "the start does not clear the arm's stop");
     moving(&mut guard, &firmware, &mut 0);
 }
 
@@ -461,7 +469,8 @@ fn a_second_program_and_older_firmware_are_refused() {
     let error = start(&old, &folder).err().map(|error| error.to_string()).unwrap_or_default();
     assert!(error.contains("speaks version 1") && error.contains("update the arm's firmware"), "{error}");
     let silent = Firmware::plug_in("CAM6-9", Behaviour { is_silent: true, ..patient() }).expect("an arm");
-    let error = start(&silent, &folder).err().map(|error| error.to_string()).unwrap_or_default();
+    let error = Guard::start(&connection(&silent), Path::new(""), Some(&folder.0)).err();
+    let error = error.map(|error| error.to_string()).unwrap_or_default();
     assert!(error.contains("no arm answered"), "{error}");
     for (path, words) in [("/dev/no_such_line", "cannot be opened"), ("/dev/null", "is not a serial line")] {
         let connection = Connection { path: path.into(), baud: 9600, answer_within: Duration::from_millis(30) };
