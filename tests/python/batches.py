@@ -226,7 +226,7 @@ class Runs(Case):
         put(2, 77)
         self.assertEqual(dict(self.batch("study", inputs).counts), {"kept": 1, "done": 1, "open": 0})
         self.assertEqual([row["light.level.mean"] for row in self.rows("study")], [10.0, 77.0])
-        # The same bytes have the same hash wherever they lie.
+        # The same bytes have the same hash wherever they are.
         system.get("/archive/1/clip.png", str(self.folder / "clip.png"))
         local = self.batch("local", {"clip": f"file://{self.folder}/{{name}}.png"})
         self.assertEqual(dict(local.counts), {"done": 1, "open": 0}, local.failures)

@@ -184,7 +184,7 @@ class Building(unittest.TestCase):
             self.assertEqual(after.shape, before.shape[:2])
             self.assertAlmostEqual(float(after.mean()), float(np.minimum(before.mean(2), 127.5).mean()) + 3, delta=3)
         self.assertIn("Twice as bright", graph._draft.maker("brighter").__doc__)
-        # The file finds the class beside it, whoever runs it.
+        # Any program that runs the file finds the class beside it.
         file = graph.save("bright.toml")
         self.assertTrue((self.folder / "brighter_node.py").is_file())
         self.assertNotIn("panoscope-nodes-", file.read_text())

@@ -11,6 +11,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
+use crate::package::tree::{copy, write};
 use crate::process::capture;
 use crate::workspace::Workspace;
 use links::{Anchors, Link};
@@ -65,27 +66,19 @@ pub fn site(workspace: &Workspace, dir: &Path) -> Result<usize> {
         }
         let mut body = String::new();
         html::push_html(&mut body, events.into_iter());
-        write(&dir.join(links::target(&page.file)), framed(page, &pages, &body).as_bytes())?;
+        write(&dir.join(links::target(&page.file)), framed(page, &pages, &body))?;
     }
     if !broken.is_empty() {
         bail!("links that lead nowhere:\n{broken}");
     }
     for file in &copied {
-        let bytes = fs::read(workspace.root.join(file)).with_context(|| format!("cannot read {}", file.display()))?;
-        write(&dir.join(file), &bytes)?;
+        copy(&workspace.root.join(file), &dir.join(file))?;
     }
     Ok(pages.len())
 }
 
 fn options() -> Options {
     Options::ENABLE_TABLES | Options::ENABLE_STRIKETHROUGH
-}
-
-fn write(file: &Path, bytes: &[u8]) -> Result<()> {
-    if let Some(folder) = file.parent() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    }
-    fs::write(file, bytes).with_context(|| format!("cannot write {}", file.display()))
 }
 
 /// The Markdown files under version control.

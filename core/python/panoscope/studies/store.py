@@ -44,7 +44,7 @@ def read_json(file: Path) -> Optional[dict[str, Any]]:
 
 
 def write_json(file: Path, value: Any) -> None:
-    """Writes a file that nobody reads before its folder is in place."""
+    """Writes a file that is not read before its folder is in place."""
     with file.open("w", encoding="utf-8") as stream:
         json.dump(value, stream, sort_keys=True)
         stream.write("\n")

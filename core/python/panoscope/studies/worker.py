@@ -98,7 +98,7 @@ def _unfit(folder: str, plugins: str) -> str:
 
 
 def _fetched(task: Task, scratch: Path) -> tuple[list[str], list[str]]:
-    """Words and inputs of a run, with copies in place of what lies in stores such as ``s3://``."""
+    """Words and inputs of a run, with copies in place of what is in stores such as ``s3://``."""
     words, copies = [], dict[str, str]()
     for word in task["words"]:
         option, _, value = word.partition("=")

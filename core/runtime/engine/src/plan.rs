@@ -127,7 +127,7 @@ impl Plan {
         &self.regions[self.wiring[node].region]
     }
 
-    /// The first node after a source whose region is one inline chain: whoever admits the only tick of the region runs
+    /// The first node after a source whose region is one inline chain: the thread that admits the only tick of the region runs
     /// the chain without queue or lock.
     #[inline]
     pub fn sole_chain(&self, source: usize) -> Option<&Link> {

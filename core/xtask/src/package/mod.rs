@@ -6,7 +6,7 @@
 mod check;
 mod deb;
 mod sbom;
-mod tree;
+pub mod tree;
 mod wheel;
 
 use std::fs;

@@ -14,9 +14,9 @@ pub fn make_parent(file: &Path) -> Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))
 }
 
-pub fn write(file: &Path, text: &str) -> Result<()> {
+pub fn write(file: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
     make_parent(file)?;
-    fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
+    fs::write(file, bytes).with_context(|| format!("cannot write {}", file.display()))
 }
 
 pub fn copy(from: &Path, to: &Path) -> Result<()> {

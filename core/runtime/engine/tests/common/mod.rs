@@ -13,7 +13,7 @@ use panoscope_host::loader::Loader;
 /// Longest that any graph here may take.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Plugins that the tests here use: `flow` ships, `fixtures` lies in `tests/plugins`.
+/// Plugins that the tests here use: `flow` ships, `fixtures` is in `tests/plugins`.
 const PLUGINS: [&str; 2] = ["flow", "fixtures"];
 
 /// The library of the `flow` plugin.
