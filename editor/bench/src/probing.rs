@@ -29,9 +29,9 @@ pub struct Probing {
 }
 
 impl Probing {
-    /// What is asked about the picture.
+    /// What is asked about the picture: nothing along a line that the pointer still draws.
     pub fn request(&self) -> ProbeRequest {
-        ProbeRequest { at: self.at, line: self.line }
+        ProbeRequest { at: self.at, line: self.line.filter(|_| !self.draws) }
     }
 
     /// Whether there is a line whose profile is shown. While the pointer draws it, there is no profile, so that the picture does not get
