@@ -30,5 +30,7 @@ pub fn run(cargo: &mut Command) -> Result<&mut Command> {
     let runner = format!("CARGO_TARGET_{}_RUNNER", target.to_uppercase().replace('-', "_"));
     let removed = LINT_VARIABLES.map(|name| format!("-u {name}")).join(" ");
     cargo.env(runner, format!("env {removed}"));
+    // NumPy's threads spin while they wait for work: several tests in Python share the cores.
+    cargo.env("OPENBLAS_NUM_THREADS", "1");
     Ok(cargo.args(["nextest", "run", "--no-fail-fast", "--profile", PROFILE]))
 }

@@ -1,4 +1,6 @@
-//! The tissue's surface: colour, gloss and fine relief, baked once into a periodic map of texels.
+//! The tissue's surface: colour, gloss and fine relief, baked once into a periodic map of texels, the rows that a view needs at a time.
+
+use std::sync::Arc;
 
 use panoscope_imaging::{Parallel, SharedMut, Simd};
 
@@ -17,41 +19,71 @@ pub const TEXELS: usize = 2048;
 /// Slopes are stored in 16 bits: `(slope + SLOPE_LIMIT) / (2 * SLOPE_LIMIT) * 65535`.
 pub const SLOPE_LIMIT: f32 = 6.0;
 
-/// Bakes eight bytes per texel, lowest first: blue, green, red (square roots of the albedo), gloss, slope along x (high byte, low byte), slope along
+/// Rows that are baked together.
+const BAND_ROWS: usize = 32;
+/// One bit per band of rows.
+const BANDS: usize = TEXELS / BAND_ROWS;
+const _: () = assert!(BANDS == u64::BITS as usize);
+
+/// Eight bytes per texel, lowest first: blue, green, red (square roots of the albedo), gloss, slope along x (high byte, low byte), slope along
 /// y (high, low). Bytes are interpolated linearly; a sum of linear functions is linear, so high and low bytes may be combined after interpolation.
-pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Table<u64> {
-    bake_with(params, relief, pool, Simd::detect().avx2())
+///
+/// A view sees a part of the period, so rows are baked when a view first needs them; the others are 0.
+pub struct Texels {
+    map: Table<u64>,
+    skin: Skin,
+    /// Bit `i` is set when band `i` is baked.
+    baked: u64,
+    avx2: bool,
 }
 
-fn bake_with(params: &SceneParams, relief: &Relief, pool: &dyn Parallel, avx2: bool) -> Table<u64> {
-    let texel_mm = relief.period_mm / TEXELS as f32;
-    let palette = Palette::of(params.scene).drawn(params.texture);
-    let vessels = vessels(params.seed, &palette.vessels, relief.period_mm, pool);
-    let skin = Skin::new(params, relief, palette, texel_mm, &vessels);
-    let mut bumps = Table::from(vec![0f32; TEXELS * TEXELS]);
-    const ROWS: usize = 16;
-    {
-        let bumps = SharedMut::new(&mut bumps);
-        pool.run(TEXELS / ROWS, &|chunk| {
-            let mut scratch = Vec::new();
-            for y in chunk * ROWS..(chunk + 1) * ROWS {
-                // SAFETY: each chunk takes its own rows.
-                skin.bump_row(y, unsafe { bumps.part(y * TEXELS, TEXELS) }, &mut scratch, avx2);
-            }
-        });
+impl Texels {
+    /// Draws the vessels and the noise's lattices; bakes no row yet.
+    pub fn new(params: &SceneParams, relief: &Arc<Relief>, pool: &dyn Parallel) -> Self {
+        let palette = Palette::of(params.scene).drawn(params.texture);
+        let vessels = vessels(params.seed, &palette.vessels, relief.period_mm, pool);
+        Self {
+            map: Table::from(vec![0u64; TEXELS * TEXELS]),
+            skin: Skin::new(params, relief, palette, vessels),
+            baked: 0,
+            avx2: Simd::detect().avx2(),
+        }
     }
-    let mut texels = Table::from(vec![0u64; TEXELS * TEXELS]);
-    {
-        let (texels, bumps) = (SharedMut::new(&mut texels), &bumps[..]);
-        pool.run(TEXELS / ROWS, &|chunk| {
-            let mut work = RowWork::default();
-            for y in chunk * ROWS..(chunk + 1) * ROWS {
-                // SAFETY: each chunk takes its own rows.
-                skin.texel_row(y, bumps, unsafe { texels.part(y * TEXELS, TEXELS) }, &mut work, avx2);
-            }
-        });
+
+    /// The map, row after row.
+    pub fn map(&self) -> &[u64] {
+        &self.map
     }
-    texels
+
+    /// Whether every row is baked.
+    pub fn is_whole(&self) -> bool {
+        self.baked == u64::MAX
+    }
+
+    /// Bakes the rows between two places along y, which repeats with the period; all rows if a place is not finite.
+    pub fn bake(&mut self, from_mm: f32, to_mm: f32, pool: &dyn Parallel) {
+        let band = |y_mm: f32| (y_mm / (self.skin.texel_mm * BAND_ROWS as f32)).floor();
+        // A texel is interpolated with the next one.
+        let (first, last) = (band(from_mm), band(to_mm + self.skin.texel_mm));
+        let is_whole = !first.is_finite() || !last.is_finite() || last - first + 1.0 >= BANDS as f32;
+        let wanted = match is_whole {
+            true => u64::MAX,
+            false => (first as i64..=last as i64).fold(0, |bits, i| bits | 1 << i.rem_euclid(BANDS as i64)),
+        };
+        let missing = wanted & !self.baked;
+        if missing == 0 {
+            return;
+        }
+        let (map, skin, avx2) = (SharedMut::new(&mut self.map), &self.skin, self.avx2);
+        pool.run(missing.count_ones() as usize, &|chunk| {
+            let rest = (0..chunk).fold(missing, |bits, _| bits & (bits - 1));
+            let band = rest.trailing_zeros() as usize;
+            // SAFETY: each chunk takes its own band of rows.
+            let rows = unsafe { map.part(band * BAND_ROWS * TEXELS, BAND_ROWS * TEXELS) };
+            skin.bake_band(band * BAND_ROWS, rows, avx2);
+        });
+        self.baked |= missing;
+    }
 }
 
 /// All families of vessels in one map of a byte per texel. Each family is drawn separately; the stronger one shows.
@@ -213,13 +245,13 @@ struct Noise<'a> {
     fleck: &'a [f32],
 }
 
-struct Skin<'a> {
+struct Skin {
     scene: SceneKind,
     board: BoardPrint,
-    relief: &'a Relief,
+    relief: Arc<Relief>,
     palette: Palette,
     texel_mm: f32,
-    vessels: &'a [u8],
+    vessels: Table<u8>,
     grain: Layers,
     hue: Layers,
     mottle: Layers,
@@ -230,8 +262,8 @@ struct Skin<'a> {
     open: Table<f32>,
 }
 
-impl<'a> Skin<'a> {
-    fn new(params: &SceneParams, relief: &'a Relief, palette: Palette, texel_mm: f32, vessels: &'a [u8]) -> Self {
+impl Skin {
+    fn new(params: &SceneParams, relief: &Arc<Relief>, palette: Palette, vessels: Table<u8>) -> Self {
         let cells = |mm: f32| ((relief.period_mm / mm) as usize).next_power_of_two().clamp(2, TEXELS);
         let layers = |purpose, list: &[(f32, f32)]| {
             let octaves: Vec<_> = list.iter().map(|&(mm, gain)| (cells(mm), gain)).collect();
@@ -249,9 +281,9 @@ impl<'a> Skin<'a> {
         Self {
             scene: params.scene,
             board: params.board,
-            relief,
+            relief: relief.clone(),
             palette,
-            texel_mm,
+            texel_mm: relief.period_mm / TEXELS as f32,
             vessels,
             grain: layers(20, &[(4.0, 0.11), (2.0, 0.06), (1.0, 0.032), (0.5, 0.013), (0.25, 0.006)]),
             hue: layers(21, &[(16.0, 0.5), (8.0, 0.35), (4.0, 0.25)]),
@@ -264,13 +296,26 @@ impl<'a> Skin<'a> {
         }
     }
 
+    /// The rows of one band, which starts at row `first`.
+    fn bake_band(&self, first: usize, out: &mut [u64], avx2: bool) {
+        let mut work = RowWork::default();
+        // With the rows above and below it, for the slopes.
+        let mut bumps = vec![0f32; (BAND_ROWS + 2) * TEXELS];
+        for (i, row) in bumps.chunks_exact_mut(TEXELS).enumerate() {
+            self.bump_row((first + TEXELS + i - 1) % TEXELS, row, &mut work.scratch, avx2);
+        }
+        for (i, row) in out.chunks_exact_mut(TEXELS).enumerate() {
+            self.texel_row(first + i, &bumps[i * TEXELS..][..3 * TEXELS], row, &mut work, avx2);
+        }
+    }
+
     /// Fine height in mm of one row of texels.
     fn bump_row(&self, y: usize, out: &mut [f32], scratch: &mut Vec<f32>, avx2: bool) {
         #[cfg(target_arch = "x86_64")]
         {
             // The same operations in the same order, on eight texels at once.
             #[target_feature(enable = "avx2")]
-            fn with_avx2(skin: &Skin<'_>, y: usize, out: &mut [f32], scratch: &mut Vec<f32>) {
+            fn with_avx2(skin: &Skin, y: usize, out: &mut [f32], scratch: &mut Vec<f32>) {
                 skin.bump_row_body(y, out, scratch);
             }
             if avx2 {
@@ -300,12 +345,13 @@ impl<'a> Skin<'a> {
         }
     }
 
+    /// One row of texels from the fine heights of the row above it, the row itself and the row below.
     fn texel_row(&self, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork, avx2: bool) {
         #[cfg(target_arch = "x86_64")]
         {
             // The same operations in the same order, on eight texels at once.
             #[target_feature(enable = "avx2")]
-            fn with_avx2(skin: &Skin<'_>, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork) {
+            fn with_avx2(skin: &Skin, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork) {
                 skin.texel_row_body(y, bumps, out, work);
             }
             if avx2 {
@@ -334,7 +380,7 @@ impl<'a> Skin<'a> {
         Relief::upsample_row(&self.open, y, open);
         Relief::upsample_row(&self.slopes[0], y, slope_x);
         Relief::upsample_row(&self.slopes[1], y, slope_y);
-        let line = |dy: usize| &bumps[((y + TEXELS + dy - 1) % TEXELS) * TEXELS..][..TEXELS];
+        let line = |dy: usize| &bumps[dy * TEXELS..][..TEXELS];
         let (above, here, below) = (line(0), line(1), line(2));
         let half = 0.5 / self.texel_mm;
         let vessels = &self.vessels[y * TEXELS..][..TEXELS];
@@ -498,10 +544,33 @@ mod tests {
     fn every_processor_makes_the_same_texels() {
         for scene in [SceneKind::Bowel, SceneKind::Board] {
             let params = SceneParams { scene, seed: 5, ..SceneParams::default() };
-            let relief = Relief::new(&params, &Serial);
-            let [portable, fast] =
-                [false, Simd::detect().avx2()].map(|avx2| bake_with(&params, &relief, &Serial, avx2));
+            let relief = Arc::new(Relief::new(&params, &Serial));
+            let [portable, fast] = [false, Simd::detect().avx2()].map(|avx2| {
+                let mut texels = Texels { avx2, ..Texels::new(&params, &relief, &Serial) };
+                texels.bake(f32::NEG_INFINITY, f32::INFINITY, &Serial);
+                texels.map
+            });
             assert!(portable == fast, "{scene:?}");
+        }
+    }
+
+    #[test]
+    fn rows_are_the_same_in_whatever_order_they_are_baked() {
+        let params = SceneParams { scene: SceneKind::Liver, seed: 3, ..SceneParams::default() };
+        let relief = Arc::new(Relief::new(&params, &Serial));
+        let mut whole = Texels::new(&params, &relief, &Serial);
+        whole.bake(f32::NAN, 0.0, &Serial);
+        assert_eq!(whole.baked, u64::MAX);
+        let mut parts = Texels::new(&params, &relief, &Serial);
+        let period = relief.period_mm;
+        // Below zero is the end of the period.
+        for (from, to, bands) in [(-1.0, 0.5, 2), (0.0, 0.0, 2), (period + 0.1, period + 0.2, 2), (40.0, 45.0, 5)] {
+            parts.bake(from, to, &Serial);
+            assert_eq!(parts.baked.count_ones(), bands, "{from} to {to} mm");
+        }
+        for (i, (part, row)) in parts.map.chunks(TEXELS).zip(whole.map.chunks(TEXELS)).enumerate() {
+            let is_baked = parts.baked >> (i / BAND_ROWS) & 1 == 1;
+            assert!(if is_baked { part == row } else { part.iter().all(|&t| t == 0) }, "row {i}");
         }
     }
 }

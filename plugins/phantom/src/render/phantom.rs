@@ -1,12 +1,14 @@
 //! The phantom: its state between frames, and how it draws a frame.
 
+use std::sync::Arc;
+
 use panoscope_imaging::{Parallel, SharedMut, ViewMut};
 
 use super::camera_buffers::{CameraBuffers, check_size, equip, station_at};
 use super::cast::{Coarse, Field, Station};
 use super::effects::{self, Smoke};
 use super::lens::Lens;
-use super::material::{self, TEXELS};
+use super::material::{TEXELS, Texels};
 use super::math::{Pose, hash};
 use super::motion::Script;
 use super::params::{CameraModel, IncidentKind, PhantomError, Rig, SceneParams};
@@ -28,12 +30,17 @@ const INCIDENT_SMOKE: f32 = 0.95;
 /// Colour of tissue that covers a lens, lit from within: B, G, R.
 const COVERED: [u8; 3] = [22, 18, 88];
 
+/// What is baked beyond the range that the corners of tiles see: rays between them bend a little, and Newton steps end near the surface.
+const MARGIN_MM: f32 = 1.0;
+/// Rays that descend less than this per mm of depth can end anywhere.
+const LEVEL: f32 = 0.1;
+
 /// A scene and its cameras.
 pub struct Phantom {
     pub(super) params: SceneParams,
     pub(super) rig: Rig,
-    pub(super) relief: Relief,
-    texels: Table<u64>,
+    pub(super) relief: Arc<Relief>,
+    texels: Texels,
     script: Script,
     smoke: Option<Smoke>,
     /// Number of sub-frames of an image without an incident.
@@ -48,7 +55,7 @@ pub struct Phantom {
 }
 
 impl Phantom {
-    /// Builds and bakes the scene (about 0.3 s on one core) and tabulates the lenses.
+    /// Builds the scene (about 0.1 s on one core) and tabulates the lenses.
     ///
     /// # Errors
     /// A parameter, camera or distortion that cannot be drawn.
@@ -68,8 +75,8 @@ impl Phantom {
             }
         }
         let smoke = (density > 0.0).then(|| Smoke::new(params.seed, density));
-        let relief = Relief::new(&params, pool);
-        let texels = material::bake(&params, &relief, pool);
+        let relief = Arc::new(Relief::new(&params, pool));
+        let texels = Texels::new(&params, &relief, pool);
         let script = Script::new(&params);
         let tools = tools::cast_of(&params);
         let truth = TruthScratch::new(&rig.cameras)?;
@@ -116,7 +123,7 @@ impl Phantom {
     }
 
     /// Draws one frame: `views[i]` (BGR, any stride) receives camera `i`. `pose` (`scene_from_camera` of the first
-    /// camera) replaces the script's. Allocates nothing.
+    /// camera) replaces the script's. Allocates only where a view sees tissue that no earlier one saw: its texels are baked then.
     ///
     /// # Errors
     /// Views of the wrong number or size, a pose that is not finite.
@@ -167,6 +174,7 @@ impl Phantom {
                 smoke: if clear { &[] } else { &buffers.smoke },
                 drops: &buffers.drops,
             };
+            self.bake(&buffers.lens, &buffers.stations[..used], pool);
             self.draw(&buffers.lens, &buffers.stations[..used], sensor, pool, view);
         }
         self.camera_buffers = camera_buffers;
@@ -265,7 +273,31 @@ impl Phantom {
         });
     }
 
-    /// Draws an image after its coarse pass.
+    /// Bakes the texels that views from `stations` can see: those between the planes in front of the relief and behind it, in all directions of the
+    /// lens.
+    pub(super) fn bake(&mut self, lens: &Lens, stations: &[(Station, Coarse)], pool: &dyn Parallel) {
+        if self.texels.is_whole() {
+            return;
+        }
+        for (station, _) in stations {
+            let [from_mm, to_mm] = seen_mm(lens, station, self.relief.z_range_mm);
+            self.texels.bake(from_mm - MARGIN_MM, to_mm + MARGIN_MM, pool);
+        }
+    }
+
+    /// Bakes all texels.
+    #[cfg(test)]
+    pub(super) fn bake_all(&mut self, pool: &dyn Parallel) {
+        self.texels.bake(f32::NEG_INFINITY, f32::INFINITY, pool);
+    }
+
+    /// Whether all texels are baked.
+    #[cfg(test)]
+    pub(super) fn is_baked(&self) -> bool {
+        self.texels.is_whole()
+    }
+
+    /// Draws an image after its coarse pass and [`Self::bake`].
     pub(super) fn draw(
         &self,
         lens: &Lens,
@@ -276,7 +308,7 @@ impl Phantom {
     ) {
         let distance = self.params.distance_mm as f32;
         let skin = Skin {
-            texels: &self.texels,
+            texels: self.texels.map(),
             per_mm: TEXELS as f32 / self.relief.period_mm,
             specular: self.params.specular,
             power: 1.25 * distance * distance,
@@ -301,4 +333,22 @@ impl Phantom {
             portable::colour(&picture, first, &mut out);
         });
     }
+}
+
+/// Range of y in which a view can see the relief, mm; infinite where a ray runs almost level.
+fn seen_mm(lens: &Lens, station: &Station, z_range_mm: [f32; 2]) -> [f32; 2] {
+    let depths = [z_range_mm[0] - MARGIN_MM, z_range_mm[1] + MARGIN_MM].map(|z| (z - station.centre[2]).max(0.0));
+    let [_, down, along] = station.rotation;
+    let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+    for (x, y) in lens.corner_x.iter().zip(&lens.corner_y) {
+        let part = |row: [f32; 3]| row[0] * x + row[1] * y + row[2];
+        if part(along) < LEVEL {
+            return [f32::NEG_INFINITY, f32::INFINITY];
+        }
+        for depth in depths {
+            let place = station.centre[1] + depth * part(down) / part(along);
+            range = [range[0].min(place), range[1].max(place)];
+        }
+    }
+    range
 }

@@ -302,6 +302,7 @@ impl Phantom {
         let buffers = self.wide_eye(frame, pose, canvas, pool)?;
         let gain = buffers.model.white_balance.map(|w| w * buffers.model.exposure * self.params.light);
         let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
+        self.bake(&buffers.lens, &buffers.stations[..1], pool);
         self.draw(&buffers.lens, &buffers.stations[..1], sensor, pool, view);
         self.truth.wide = Some((canvas, buffers));
         Ok(())

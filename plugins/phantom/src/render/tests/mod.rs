@@ -423,3 +423,29 @@ fn mistakes_are_named() {
     let pose = Pose { translation_mm: [f64::NAN; 3], ..Pose::IDENTITY };
     assert_eq!(phantom.homography(0, Some(pose), &Serial), Err(PhantomError::BadPose));
 }
+
+#[test]
+fn tissue_that_is_baked_when_it_is_seen_is_that_baked_at_once() {
+    let steep = Pose { quaternion: [0.94, 0.31, -0.14, 0.0], translation_mm: [-8.0, 24.0, -4.0] };
+    let level = Pose { quaternion: [0.707, 0.707, 0.0, 0.0], translation_mm: [0.0, 0.0, -10.0] };
+    let mut bent = Rig::stereo(320, 240, 15.0);
+    bent.cameras[0].distortion = [-0.3, 0.1, 0.002, -0.003, 0.0];
+    let even = Rig::stereo(320, 240, 15.0);
+    // With whether the frames see all of a period.
+    let cases = [
+        (SceneKind::Liver, &even, vec![(0, None), (200, None)], false),
+        (SceneKind::Cavity, &bent, vec![(30, None), (9, Some(steep))], true),
+        (SceneKind::Bowel, &bent, vec![(75, None)], false),
+        (SceneKind::Board, &even, vec![(3, None)], false),
+        (SceneKind::Liver, &even, vec![(5, Some(level))], true),
+    ];
+    for (scene, rig, frames, is_whole) in cases {
+        let [mut lazy, mut whole] = [0, 1].map(|_| Phantom::new(quiet(scene), rig.clone(), &Serial).unwrap());
+        whole.bake_all(&Serial);
+        for (frame, pose) in frames {
+            let [part, all] = [&mut lazy, &mut whole].map(|phantom| draw(phantom, frame, pose, &Serial));
+            assert!(part == all, "{scene:?}, frame {frame}");
+        }
+        assert_eq!(lazy.is_baked(), is_whole, "{scene:?}");
+    }
+}
