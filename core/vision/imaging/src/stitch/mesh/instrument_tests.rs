@@ -225,6 +225,24 @@ fn the_seam_goes_around_an_instrument_and_follows_it_at_once() {
 }
 
 #[test]
+fn an_instrument_that_neither_view_sees_whole_goes_on_without_a_step() {
+    let (mut follower, mut compositor) = (follower(true), compositor(SeamMethod::DynamicProgramming));
+    // The right view ends at column 285 of the instrument in the left one.
+    for tip in [360.0, 345.0, 330.0, 315.0, 300.0, 285.0, 270.0, 255.0, 255.0, 255.0, 255.0, 255.0] {
+        let shaft = Shaft { tip, ..FROM_RIGHT };
+        update(&mut follower, &shaft_map(shaft));
+        let shown = compose(&mut compositor, &follower, shaft);
+        let [_, left, right] = views_of(&shown, shaft);
+        let is_whole = right == 0 && left > 50;
+        assert!(is_whole || tip > 285.0, "tip at {tip}: {left} from the left view, {right} from the right one");
+    }
+    // The left view ends at column 355 of the right one, which is drawn where the left view shows the instrument.
+    let shaft = Shaft { tip: 255.0, ..FROM_RIGHT };
+    let [low, high] = bend(follower.mesh().expect("a mesh"), shaft, 340..540);
+    assert!(low > TOOL_PX - 0.7 && high < TOOL_PX + 0.7, "{low} to {high} px");
+}
+
+#[test]
 fn an_instrument_that_both_views_see_whole_keeps_its_view() {
     // From below, to and fro across the middle of what both see.
     let mut follower = follower(true);

@@ -3,7 +3,8 @@
 //! The cells of the reference view whose disparity lies before the mesh make up instruments; metal is often unmatched,
 //! so that unmatched cells next to them count as well. An instrument has two positions: its own in the reference view,
 //! and one displaced by its parallax in the other view. The panorama shows it completely if one view shows both
-//! positions and everything between them.
+//! positions and everything between them. Where neither view does, the reference view shows it up to its border, and the other view is displaced
+//! there by the instrument's parallax, so that it goes on without a step.
 
 use super::hints::{Hint, InstrumentHints};
 use super::kept::{Keep, Kept, KeptCells};
@@ -38,6 +39,8 @@ const SWITCH_FRAMES: u32 = 8;
 const BORDER_PX: f64 = 16.0;
 /// Minimum number of cells at a border of an instrument that is cut off by it.
 const MIN_CUT: usize = 2;
+/// Distance from the border of the reference view within which the views are joined at an instrument, px.
+pub const JOINT_PX: f64 = 80.0;
 
 /// Maximum distance of shared unmatched cells from both pieces of one instrument.
 const MAX_CONTACT: u8 = 8;
@@ -45,9 +48,14 @@ const MAX_CONTACT: u8 = 8;
 /// Cells at the border of the reference view, and at that of the other view.
 type Cut = [usize; 2];
 
-/// Whether neither view shows all of an instrument made of two pieces.
-fn is_cut_twice(a: Cut, b: Cut) -> bool {
-    (0..2).all(|view| a[view] + b[view] >= MIN_CUT)
+/// Whether neither view shows all of an instrument.
+fn is_cut_twice(cut: Cut) -> bool {
+    cut.iter().all(|cells| *cells >= MIN_CUT)
+}
+
+/// Whether two pieces would be an instrument of which neither view shows all, though one shows all of each.
+fn are_two(a: Cut, b: Cut) -> bool {
+    is_cut_twice([a[0] + b[0], a[1] + b[1]]) && !is_cut_twice(a) && !is_cut_twice(b)
 }
 
 /// One instrument over time.
@@ -60,6 +68,8 @@ pub struct Track {
     /// Slope of an instrument that is cut off by the border of the reference view: change of the position across the
     /// border per position along it.
     pub slope: Option<f64>,
+    /// A place next to the border of the reference view, px, and the same in the other view, of an instrument that the other view continues there.
+    pub joint: Option<[Point; 2]>,
     missing_frames: u32,
     pending_frames: u32,
 }
@@ -213,7 +223,7 @@ impl Instruments {
         self.add_unmatched(how, hints);
         self.join_pieces();
         self.keep_missing();
-        self.choose(how);
+        self.choose(observations, how);
         self.draw(how);
         self.keep_views(how, kept);
     }
@@ -309,7 +319,7 @@ impl Instruments {
         let least = ((MIN_VOTES * piece.len() as f64) as usize).max(1);
         let cuts = self.cuts;
         // An instrument that reaches to the borders of both views is two.
-        let fits = |label: usize| !is_cut_twice(cuts[label - 1], cut) || is_cut_twice(cuts[label - 1], [0; 2]);
+        let fits = |label: usize| !are_two(cuts[label - 1], cut);
         let takes_part = |label: usize| label > 0 && votes[label] >= least && fits(label);
         let best = (1..=MAX_INSTRUMENTS).filter(|label| takes_part(*label)).max_by_key(|label| votes[*label]);
         let Some(best) = best else {
@@ -417,7 +427,7 @@ impl Instruments {
                     continue;
                 }
                 let views = [a, b].map(|label| self.tracks[label as usize - 1].view);
-                let is_two = is_cut_twice(cuts[a as usize - 1], cuts[b as usize - 1]);
+                let is_two = are_two(cuts[a as usize - 1], cuts[b as usize - 1]);
                 if !is_two && (views[0] == views[1] || views.contains(&Kept::Free)) {
                     // The one that has a view stays.
                     let (stays, goes) = if views[0] == Kept::Free { (b, a) } else { (a, b) };
@@ -465,7 +475,7 @@ impl Instruments {
 
     /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it
     /// before.
-    fn choose(&mut self, how: &Arrangement) {
+    fn choose(&mut self, observations: &Observations, how: &Arrangement) {
         let axis = how.axis();
         // Count, first and second moments.
         let mut sums = [[0.0f64; 6]; MAX_INSTRUMENTS];
@@ -477,6 +487,7 @@ impl Instruments {
             sums[index].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
         }
         let [low, high] = how.shared[axis];
+        let joints = self.joints(observations, how);
         for (index, track) in self.tracks.iter_mut().enumerate() {
             let [count, a, b, aa, ab, bb] = sums[index];
             if count == 0.0 {
@@ -486,7 +497,15 @@ impl Instruments {
             let [by_reference, by_other] = cut.map(|cells| cells >= MIN_CUT);
             let middle = 0.5 * (low + high) as f64;
             let is_beyond_middle = (a / count > middle) == how.is_beyond_end();
+            // Once joined it stays so, or its image would jump to and fro.
+            let was_joined = track.joint.is_some();
+            let is_joined = by_reference && (by_other || was_joined);
+            track.joint = joints[index].or(track.joint).filter(|_| is_joined);
+            if track.joint.is_some() && !was_joined {
+                (track.view, track.pending_frames) = (Kept::Free, 0);
+            }
             let wanted = match (by_reference, by_other, track.view) {
+                _ if track.joint.is_some() => Kept::Reference,
                 (true, false, _) => Kept::Other,
                 (false, true, _) => Kept::Reference,
                 (_, _, Kept::Free) if by_reference && cut[0] >= cut[1] => Kept::Other,
@@ -509,6 +528,24 @@ impl Instruments {
         }
     }
 
+    /// Mean positions in both views, px, of what is matched of each instrument next to the border of the reference view; `None` where nothing is.
+    fn joints(&self, observations: &Observations, how: &Arrangement) -> [Option<[Point; 2]>; MAX_INSTRUMENTS] {
+        let axis = how.axis();
+        let (size, reach) = ([self.columns, self.rows][axis], (JOINT_PX * how.scale / self.cell_px as f64) as usize);
+        let mut sums = [([[0.0f64; 2]; 2], 0usize); MAX_INSTRUMENTS];
+        for (cell, label) in self.sure.iter().enumerate().filter(|(_, label)| **label != 0) {
+            let place = [cell % self.columns, cell / self.columns][axis];
+            let far = if how.is_beyond_end() { size - 1 - place } else { place };
+            let seen = &observations.cells[cell];
+            if far <= reach && seen.weight != 0.0 {
+                let (sum, count) = &mut sums[*label as usize - 1];
+                sum.iter_mut().flatten().zip(seen.at.into_iter().chain(seen.source)).for_each(|(sum, v)| *sum += v);
+                *count += 1;
+            }
+        }
+        sums.map(|(sum, count)| (count >= MIN_CUT).then(|| sum.map(|point| point.map(|v| v / count as f64))))
+    }
+
     /// Sets `drawn`: the instruments' positions in the reference view, in the other view, and all cells in between; and
     /// `sure`, the same for matched cells.
     fn draw(&mut self, how: &Arrangement) {
@@ -519,6 +556,9 @@ impl Instruments {
         let limit = self.columns + self.rows;
         self.steps.extend((1..=limit).map(|step| [x, y].map(|along| (-along / long * step as f64).round() as isize)));
         for (cell, label) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
+            if self.tracks[*label as usize - 1].joint.is_some() {
+                continue;
+            }
             let is_sure = self.sure[cell] != 0;
             let cells = f64::from(self.nearer[cell]) / self.cell_px as f64;
             let start = [cell % self.columns, cell / self.columns];

@@ -1,10 +1,10 @@
 //! Keeps the image of an instrument straight: around it the mesh is the homography displaced by one vector.
 //!
 //! A homography keeps lines straight. The displacement is the mean of the mesh there, changes slowly, and fades into
-//! the mesh next to the instrument.
+//! the mesh next to the instrument. Where the other view continues an instrument of the reference view, the displacement is that of the instrument.
 
 use super::Lattice;
-use super::instruments::{Arrangement, Instruments, MAX_INSTRUMENTS};
+use super::instruments::{Arrangement, Instruments, JOINT_PX, MAX_INSTRUMENTS};
 use super::kept::Kept;
 use crate::geometry::{Point, length};
 
@@ -78,7 +78,7 @@ impl Rigid {
             }
             if view == Kept::Other {
                 let full = FULL_CELLS * lattice.cell_px as f64;
-                follow_shifts(instruments, weights, (full as f32, rate), [drawn, base]);
+                follow_shifts(instruments, weights, lattice, (full as f32, rate), [drawn, base]);
                 self.shift.resize(lattice.len(), [0.0; 2]);
             }
             self.is_used[which] = false;
@@ -129,10 +129,11 @@ fn target(distance_px: f32, cell_px: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Moves the displacement of each instrument towards the mean of the mesh within `full_px` of it by the share `rate`.
+/// Moves the displacement of each instrument towards the mean of the mesh within `full_px` of it by the share `rate`; that of a joined one towards its own.
 fn follow_shifts(
     instruments: &mut Instruments,
     weights: &Weights,
+    lattice: &Lattice,
     (full_px, rate): (f32, f64),
     [drawn, base]: [&[Point]; 2],
 ) {
@@ -143,8 +144,13 @@ fn follow_shifts(
         sum.iter_mut().zip([at[0] - base[0], at[1] - base[1], 1.0]).for_each(|(sum, term)| *sum += term);
     }
     for (index, [x, y, count]) in sums.into_iter().enumerate().filter(|(_, sum)| sum[2] > 0.0) {
-        let mean = [x / count, y / count];
         let track = instruments.track_mut(index + 1);
+        let joint = track.joint.and_then(|[here, there]| {
+            let (cell, t) = lattice.cell_of(here)?;
+            let base = lattice.interpolate(|vertex| base[vertex], cell, t);
+            Some([there[0] - base[0], there[1] - base[1]])
+        });
+        let mean = joint.unwrap_or([x / count, y / count]);
         track.shift = Some(match track.shift {
             Some(held) => [0, 1].map(|k| held[k] + rate * (mean[k] - held[k])),
             None => mean,
@@ -168,11 +174,14 @@ impl Weights {
             let last = 2.0 * cell_px as f64;
             if how.is_beyond_end() { at[axis] + last > end } else { at[axis] < last }
         };
+        let joint_px = JOINT_PX * how.scale;
+        let is_near_end = |at: Point| if how.is_beyond_end() { at[axis] + joint_px > end } else { at[axis] < joint_px };
         let outwards = if how.is_beyond_end() { 1.0 } else { -1.0 };
         let mut is_any = false;
         for (at, number) in instruments.cells(in_either) {
             let track = instruments.track(number);
-            if track.view != view {
+            let is_joint = in_either && track.joint.is_some() && is_near_end(at);
+            if track.view != view && !is_joint {
                 continue;
             }
             is_any = true;
