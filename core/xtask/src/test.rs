@@ -259,7 +259,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     let nextest = tool::ensure(workspace, nextest::PROGRAM)?;
     // Downloads take the network, compilers the processors.
     let (fetched, built) = std::thread::scope(|scope| {
-        let fetched = scope.spawn(|| Fetched::new(workspace, packages.is_empty()));
+        let fetched = scope.spawn(|| Fetched::new(workspace, packages.is_empty() || needs_program(&packages)));
         let built = timed("build", || match packages[..] {
             [] => build_for_tests(workspace, Extent::Workspace),
             _ => build_for_tests(workspace, if needs_program(&packages) { Extent::Product } else { Extent::Plugins }),
@@ -336,7 +336,7 @@ impl Fetched {
         if let Err(error) = onnxruntime::fetch(workspace) {
             println!("ONNX Runtime was not fetched: {error:#}");
         }
-        // Only all tests together have some that need the peers.
+        // Tests of crates below the program need none.
         Self { numpy: NUMPY.folder(workspace), peers: with_peers.then(|| PEERS.folder(workspace)).flatten() }
     }
 
