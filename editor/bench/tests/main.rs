@@ -19,6 +19,7 @@ mod looks;
 #[path = "../../theatre/tests/common/looks.rs"]
 mod looks_graph;
 mod parts;
+mod playing;
 mod probes;
 mod source;
 mod states;

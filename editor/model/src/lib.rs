@@ -27,6 +27,7 @@ pub mod output;
 pub mod pedal;
 pub mod picture;
 pub mod pixels;
+pub mod playing;
 pub mod presets;
 pub mod probe;
 pub mod problems;

@@ -17,6 +17,7 @@ use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::folding::parent;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};
+use panoscope_editor_model::playing::Change;
 use panoscope_editor_widgets::ARROWS;
 
 /// Distance that an arrow key moves the view, in points.
@@ -227,9 +228,12 @@ impl App {
             Action::Timeline => _ = self.docks.toggle(Panel::Timeline),
             Action::Record => self.record(),
             Action::Acknowledge => self.acknowledge(),
-            Action::Play | Action::TickBack | Action::TickForward => match &self.timeline {
-                Some(timeline) if action == Action::Play => timeline.play(!timeline.position().plays),
-                Some(timeline) => timeline.step(if action == Action::TickBack { -1 } else { 1 }),
+            Action::Play => self.play(Change::Toggle),
+            Action::TickForward => self.play(Change::Step),
+            Action::Loop => self.play(Change::Loop),
+            Action::Speed => self.play(Change::Speed),
+            Action::TickBack => match &self.timeline {
+                Some(timeline) => timeline.step(-1),
                 None => self.notify(text!("need-recording"), true),
             },
             Action::Trace => _ = self.docks.toggle(Panel::Trace),

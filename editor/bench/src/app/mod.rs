@@ -12,6 +12,7 @@ mod moments;
 mod new_graph;
 mod parts;
 mod picking;
+mod playing;
 mod previews;
 mod saving;
 mod script;
@@ -470,7 +471,8 @@ impl App {
         let bar = Frame::new().fill(theme::panel()).inner_margin(Margin::symmetric(16, 8));
         let actions = Panel::top("top").frame(bar).exact_size(44.0).show(ui, |ui| {
             let recorded = self.timeline.as_ref().map(Timeline::path);
-            top::show(ui, &self.document, (status, &counters, recorded), |action| self.is_on(action))
+            let playing = self.playing_now(status);
+            top::show(ui, &self.document, (status, &counters, recorded), playing, |action| self.is_on(action))
         });
         actions.inner.into_iter().for_each(|action| self.perform(action));
         self.machine_bar(ui);

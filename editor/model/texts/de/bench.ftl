@@ -24,6 +24,11 @@ top-undo = Rückgängig
 top-again = Neu starten
 top-record = Aufzeichnen
     .stop = Aufzeichnung beenden
+top-play = Abspielen
+    .pause = Anhalten
+top-step = Schritt
+top-loop = Schleife
+top-speed = { $speed }-fach
 top-look = Ansicht
 top-run = Lauf
 top-menu = Weitere Knöpfe, weil das Fenster schmal ist
@@ -203,7 +208,7 @@ done-acknowledged = { $count ->
    *[other] { $count } Störungen sind zur Kenntnis genommen
 }
 need-two-nodes = zum Ausrichten mindestens zwei Knoten wählen
-need-recording = zuerst eine Aufzeichnung öffnen: J zeigt die Zeitleiste
+need-recording = nichts abzuspielen: keine Quelle liest Dateien, und keine Aufzeichnung ist offen (J zeigt die Zeitleiste)
 need-recorded-graph = kein Knoten dieses Graphen ist in der Aufzeichnung: den aufgezeichneten Graphen öffnen
 need-one-node = zum Verbinden einen Knoten wählen
 need-image = { $node } hat noch keinen Bildeingang: einen verbinden, dann wählen

@@ -24,6 +24,11 @@ top-undo = Undo
 top-again = Run again
 top-record = Record
     .stop = End recording
+top-play = Play
+    .pause = Pause
+top-step = Step
+top-loop = Loop
+top-speed = { $speed } x
 top-look = Look
 top-run = Run
 top-menu = More buttons, because the window is narrow
@@ -203,7 +208,7 @@ done-acknowledged = { $count ->
    *[other] { $count } faults are acknowledged
 }
 need-two-nodes = select at least two nodes to align
-need-recording = open a recording first: J shows the timeline
+need-recording = nothing to play: no source reads files, and no recording is open (J shows the timeline)
 need-recorded-graph = no node of this graph is in the recording: open the graph that was recorded
 need-one-node = select one node to connect
 need-image = { $node } has no image input yet: connect one, then pick
