@@ -6,6 +6,7 @@
 
 pub mod arguments;
 pub mod attaching;
+pub mod computing;
 pub mod content;
 pub mod copying;
 pub mod difference;

@@ -309,6 +309,8 @@ canvas-median = { $median } · p99 { $slow }
 canvas-unfinished = noch nicht fertig
 canvas-mistake = Fehler
 canvas-recorded = aufgezeichnet
+canvas-computed = aus der Aufzeichnung berechnet
+canvas-computing = wird berechnet: { $percent } %
 canvas-not-recorded = nicht in der Aufzeichnung
 canvas-ticks = { $count ->
     [one] 1 Takt

@@ -309,6 +309,8 @@ canvas-median = { $median } · p99 { $slow }
 canvas-unfinished = unfinished
 canvas-mistake = mistake
 canvas-recorded = recorded
+canvas-computed = computed from the recording
+canvas-computing = computing { $percent } %
 canvas-not-recorded = not in the recording
 canvas-ticks = { $count ->
     [one] 1 tick
