@@ -6,6 +6,7 @@
 
 pub mod arguments;
 pub mod attaching;
+pub mod comparing;
 pub mod computing;
 pub mod content;
 pub mod copying;

@@ -12,6 +12,7 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_engine::sync::lock;
 use panoscope_record::{Recording, RecordingError};
 
+use crate::comparing::{self, Comparison, ComparisonRequest};
 use crate::computing::{Computation, Request};
 use crate::observe::{Output, PreviewRequest};
 use crate::picture::{self, Range, RenderedPacket};
@@ -54,6 +55,8 @@ struct State {
     previews: HashMap<Output, RenderedPacket>,
     probe_requests: HashMap<Output, ProbeRequest>,
     probes: HashMap<Output, Probe>,
+    compared: Option<ComparisonRequest>,
+    comparison: Option<Comparison>,
     problem: Option<String>,
     second: Option<Arc<Recording>>,
     /// What was computed from the recorded sources.
@@ -135,6 +138,7 @@ impl Timeline {
             state: Arc::clone(&state),
             rendered: HashMap::new(),
             probed: HashMap::new(),
+            compared: None,
             wake: Arc::clone(&wake),
         };
         let thread = std::thread::Builder::new().name("timeline".to_owned()).spawn(move || player.run())?;
@@ -317,6 +321,21 @@ impl Timeline {
         lock(&self.state).probes.clone()
     }
 
+    /// Sets which outputs are compared in numbers.
+    pub fn compare(&self, request: Option<ComparisonRequest>) {
+        let mut state = lock(&self.state);
+        if state.compared != request {
+            (state.compared, state.comparison) = (request, None);
+            drop(state);
+            self.wake_player();
+        }
+    }
+
+    /// How the shown packets of the compared outputs differ.
+    pub fn comparison(&self) -> Option<Comparison> {
+        lock(&self.state).comparison
+    }
+
     /// Takes the pictures rendered since the last call.
     pub fn take(&self) -> HashMap<Output, RenderedPacket> {
         std::mem::take(&mut lock(&self.state).previews)
@@ -345,6 +364,8 @@ struct Player {
     state: Arc<Mutex<State>>,
     rendered: HashMap<Output, Rendered>,
     probed: HashMap<Output, Probed>,
+    /// What was compared last: outputs, generation, positions in their ports.
+    compared: Option<(ComparisonRequest, u64, [Option<usize>; 2])>,
     wake: Arc<Wake>,
 }
 
@@ -372,6 +393,7 @@ impl Player {
                 let asked = asked.get(&output).copied();
                 changed |= self.render(&output, (request, asked), at_s, &others, generation);
             }
+            changed |= self.compare(at_s, &others, generation);
             if changed {
                 (self.wake)();
             }
@@ -409,6 +431,26 @@ impl Player {
         // Ticks of a port are in order.
         let passed = packets.partition_point(|packet| packet.head.tick.capture_ns <= until_ns);
         Some(Shown { recording, port, at: passed.checked_sub(1) })
+    }
+
+    /// Compares two outputs as they were at a moment, as far as that is not done already; returns whether there is something new.
+    fn compare(&mut self, at_s: f64, others: &Others, generation: u64) -> bool {
+        let Some(pair) = lock(&self.state).compared.clone() else { return false };
+        let shown = |output| self.packets(output, at_s, others);
+        let (Some(a), Some(b)) = (shown(&pair.output), shown(&pair.other)) else { return false };
+        let question = (pair.clone(), generation, [a.at, b.at]);
+        if self.compared.as_ref() == Some(&question) {
+            return false;
+        }
+        let (Some(Ok(a)), Some(Ok(b))) = (a.frame(), b.frame()) else { return false };
+        let measures = comparing::compare((a.frame(), a.bytes()), (b.frame(), b.bytes()), &pair.packet);
+        self.compared = Some(question);
+        let mut state = lock(&self.state);
+        // Meanwhile another pair may be asked for.
+        if state.compared.as_ref() == Some(&pair) {
+            state.comparison = Some(Comparison { seq: a.frame().tick.seq, measures });
+        }
+        true
     }
 
     /// Renders an output as it was at a moment and reads its values, as far as that is not done already; returns whether there is something new.

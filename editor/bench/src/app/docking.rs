@@ -325,7 +325,9 @@ impl App {
         others.extend(self.viewer.source().and_then(|source| self.of_second_run(source)));
         let trajectories: Vec<Output> = trajectories.into_iter().map(|(output, _)| output).collect();
         let probe = self.viewer.probe_request().and_then(|(output, _)| self.probes.get(output)).cloned();
-        let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories, probe.as_ref());
+        let comparison = self.comparison();
+        let numbers = (probe.as_ref(), comparison.as_ref());
+        let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories, numbers);
         self.pick_on(ui, image_rects);
     }
 
