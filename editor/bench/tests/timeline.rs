@@ -114,6 +114,7 @@ fn a_recording_is_moved_through_and_compared_while_the_graph_runs() {
         app.shown_tick(&mean) == Some(30) && app.shown_tick(&second(&mean)) == Some(30)
     });
     assert!(window.app().wipe().is_some());
+    window.until_shown("PSNR ");
     window.key(NONE, Key::Escape);
     window.harness.get_by_label("Close recording").click_accesskit();
     window.until("the running graph again", |app| app.timeline().is_none() && app.shown_tick(&output).is_some());

@@ -302,6 +302,11 @@ impl App {
         self.viewer.source().map(|v| &v.output)
     }
 
+    /// The output that it is compared with.
+    pub fn compared_with(&self) -> Option<&Output> {
+        self.viewer.sources().nth(1).map(|v| &v.output)
+    }
+
     /// The values that are read from an output's picture, while it is shown alone in the viewer or in the panel of its node.
     pub fn probe(&self, output: &Output) -> Option<&Probe> {
         self.probes.get(output)
