@@ -6,9 +6,10 @@ use std::path::Path;
 use crate::common::{Folder, Window, has_plugin};
 use crate::looks_graph::GRAPH;
 use eframe::egui::{Key, Modifiers, Rect, Shape, Vec2, vec2};
+use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
 use panoscope_editor_model::session::Phase;
-use panoscope_editor_model::texts::{Language, set_language};
+use panoscope_editor_model::texts::{Language, set_language, text};
 use panoscope_editor_widgets::golden::paint;
 use panoscope_editor_widgets::theme::{Choice, ground};
 
@@ -16,8 +17,10 @@ const NONE: Modifiers = Modifiers::NONE;
 /// Sizes of the window in px, and px per point.
 const SIZES: [([f32; 2], f32); 4] =
     [([1280.0, 720.0], 1.0), ([1920.0, 1080.0], 1.0), ([2560.0, 1440.0], 1.0), ([3840.0, 2160.0], 2.0)];
+/// A key with its modifiers, if any is pressed.
+type Pressed = Option<(Modifiers, Key)>;
 /// What is shown: its name, the node that is selected, and the key that shows it and puts it away.
-const SHOWN: [(&str, &str, Option<(Modifiers, Key)>); 9] = [
+const SHOWN: [(&str, &str, Pressed); 9] = [
     ("graph", "", None),
     ("node", "level", None),
     ("plots", "", Some((NONE, Key::P))),
@@ -103,10 +106,9 @@ fn nothing_overlaps_at_any_size_in_any_theme_or_language() {
     assert!(wrong.is_empty(), "{} of them: {wrong:#?}", wrong.len());
 }
 
-fn show(window: &mut Window, node: &str, key: Option<(Modifiers, Key)>) {
+fn show(window: &mut Window, node: &str, key: Pressed) {
     if !node.is_empty() {
-        let name = panoscope_editor_model::texts::text!("canvas-node", node = node);
-        use egui_kittest::kittest::Queryable;
+        let name = text!("canvas-node", node = node);
         window.harness.get_by_label(&name).click_accesskit();
     }
     if let Some((modifiers, key)) = key {
@@ -115,7 +117,7 @@ fn show(window: &mut Window, node: &str, key: Option<(Modifiers, Key)>) {
     window.steps(6);
 }
 
-fn put_away(window: &mut Window, key: Option<(Modifiers, Key)>) {
+fn put_away(window: &mut Window, key: Pressed) {
     match key {
         Some((_, Key::A | Key::F1)) => window.key(NONE, Key::Escape),
         Some((modifiers, key)) => window.key(modifiers, key),

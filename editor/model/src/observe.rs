@@ -16,8 +16,8 @@ use panoscope_host::attach::Attachment;
 use panoscope_host::attach::message::Wanted;
 use serde::{Deserialize, Serialize};
 
-pub use crate::output::{Output, WireEnd};
 use crate::comparing::{self, Comparison, ComparisonRequest};
+pub use crate::output::{Output, WireEnd};
 use crate::picture::{self, Range, RenderedPacket};
 use crate::probe::{self, Probe, ProbeRequest};
 use crate::session::{Handle, Phase};

@@ -184,7 +184,8 @@ impl Timeline {
 
     /// What there is of an output.
     pub fn held(&self, output: &Output) -> Held {
-        let computed = || lock(&self.state).computed.as_ref().map(|computed| computed.ports.contains_key(&output.to_string()));
+        let computed =
+            || lock(&self.state).computed.as_ref().map(|computed| computed.ports.contains_key(&output.to_string()));
         match self.computation.as_ref() {
             _ if self.has(output) => Held::Recorded,
             Some(_) if computed() == Some(true) => Held::Computed,

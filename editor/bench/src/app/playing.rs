@@ -21,7 +21,7 @@ impl App {
     }
 
     /// Changes how the recording or the files are played.
-    pub(super) fn play(&mut self, change: Change) {
+    pub(super) fn change_playing(&mut self, change: Change) {
         let Some(now) = self.playing() else { return self.notify(text!("need-recording"), true) };
         match (&self.timeline, change) {
             (Some(timeline), Change::Toggle) => timeline.play(!now.plays),

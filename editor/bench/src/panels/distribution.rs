@@ -64,9 +64,9 @@ impl Spread {
         let (Some([begin, _]), Some([end, _])) = (values.front().copied(), values.back().copied()) else {
             return Self::default();
         };
-        let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), [_, value]| {
-            (low.min(*value), high.max(*value))
-        });
+        let (low, high) = values
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), [_, value]| (low.min(*value), high.max(*value)));
         let (column_s, row) = (((end - begin) / COLUMNS as f64).max(1e-6), ((high - low) / ROWS as f64).max(1e-9));
         let mut counts = vec![[0usize; ROWS]; COLUMNS];
         for [time, value] in values {

@@ -198,7 +198,9 @@ impl Plots {
         let mut plot = Plot::new(("curves", related.is_some())).allow_scroll(false).show_grid(true);
         plot = match (self.kind, &related) {
             (Kind::Scatter, _) => plot.x_axis_label(self.x.as_str()).y_axis_label(self.y.as_str()),
-            (_, Some(_)) => plot.y_axis_label(self.y.as_str()).x_axis_formatter(|mark, _| format!("{:.0} s", mark.value)),
+            (_, Some(_)) => {
+                plot.y_axis_label(self.y.as_str()).x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
+            }
             (kind, None) => {
                 let legend = Legend::default().position(Corner::LeftTop);
                 let curves = plot.legend(legend).y_axis_label(kind.axis()).include_x(-30.0).include_x(0.0);

@@ -130,7 +130,8 @@ impl TimelinePanel {
             if let Some(reason) = computation.problem() {
                 ui.label(RichText::new(text!("timeline-compute.failed", reason = reason)).color(theme::fault()));
             }
-            let again = || ui.button(text!("timeline-compute")).on_hover_text(text!("timeline-compute.hint")).clicked();
+            let mut again =
+                || ui.button(text!("timeline-compute")).on_hover_text(text!("timeline-compute.hint")).clicked();
             if !computation.is_of(graph) && again() {
                 request = Some(TimelineRequest::Compute);
             }

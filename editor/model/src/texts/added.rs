@@ -116,7 +116,7 @@ fn add(file: &Path) -> Result<(), TextsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::texts::{Value, decimal, filled, files, plain, set_language, text};
+    use crate::texts::{Value, decimal, files, filled, plain, set_language, text};
 
     /// The English texts with every word in brackets, as a file of another language.
     fn bracketed() -> String {
@@ -126,7 +126,8 @@ mod tests {
             all.push_str(&fluent_syntax::serializer::serialize(&resource));
         }
         // A text begins after ` = `, of a message or of an attribute, and after `] ` where there are several.
-        let line = |line: &str| match (line.trim_start().chars().next(), line.split_once(" = "), line.split_once("] ")) {
+        let line = |line: &str| match (line.trim_start().chars().next(), line.split_once(" = "), line.split_once("] "))
+        {
             (Some('[' | '*'), _, Some((name, text))) => format!("{name}] ⟦{text}"),
             (_, Some((name, text)), _) => format!("{name} = ⟦{text}"),
             _ => line.to_owned(),
@@ -140,7 +141,8 @@ mod tests {
         std::fs::create_dir_all(&folder).expect("created");
         let whole = bracketed();
         std::fs::write(folder.join("xx.ftl"), &whole).expect("written");
-        let some = "language-name = Français\ntop-save = Enregistrer\nno-such-text = Rien\nalarm-image-old = { $inconnu }\n";
+        let some =
+            "language-name = Français\ntop-save = Enregistrer\nno-such-text = Rien\nalarm-image-old = { $inconnu }\n";
         std::fs::write(folder.join("fr.ftl"), some).expect("written");
         for (name, text) in [("de.ftl", "top-save = Anders\n"), ("yy.ftl", "top-save"), ("Nope.ftl", "a = b\n")] {
             std::fs::write(folder.join(name), text).expect("written");

@@ -78,7 +78,9 @@ impl Catalog {
 
     fn of(language: Language) -> &'static Self {
         let at = match language {
-            Language::Added(at) => return added::get(at).map_or_else(|| Self::of(Language::English), |added| &added.catalog),
+            Language::Added(at) => {
+                return added::get(at).map_or_else(|| Self::of(Language::English), |added| &added.catalog);
+            }
             Language::German => 1,
             Language::English => 0,
         };
@@ -205,10 +207,8 @@ mod tests {
 
     #[test]
     fn a_text_is_never_lacking() {
-        let english =
-            Catalog::read("en", ["a = Stop { $node }\nb = Held\n    .name = Held for long\n"].into_iter());
-        let german =
-            Catalog::read("de", ["a = Stopp { $knoten }\n{ this is no text\nc = Rest\n"].into_iter());
+        let english = Catalog::read("en", ["a = Stop { $node }\nb = Held\n    .name = Held for long\n"].into_iter());
+        let german = Catalog::read("de", ["a = Stopp { $knoten }\n{ this is no text\nc = Rest\n"].into_iter());
         let mut args = FluentArgs::new();
         args.set("node", "arm");
         let shown = |id: &str| best(german.text(id, Some(&args)), || english.text(id, Some(&args)), id);
