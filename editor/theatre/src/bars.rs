@@ -10,7 +10,7 @@ use eframe::egui::{
 };
 
 use super::alarms::Urgency;
-use super::arm::STOP_RED;
+use super::arm::{STOP_RED, is_pressed};
 use super::notices::{Facts, OLD_MS};
 use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings, time};
 use panoscope_editor_model::session::{Phase, Status};
@@ -209,7 +209,7 @@ impl Theatre {
         let response = ui.interact(rect, ui.id().with("end"), Sense::click_and_drag());
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("leave-name")));
         let by_key = response.has_focus() && ui.input(|i| i.key_down(Key::Space) || i.key_down(Key::Enter));
-        self.end_held = response.is_pointer_button_down_on() || by_key;
+        self.end_held = is_pressed(&response) || by_key;
         let edge = if response.has_focus() { theme::accent() } else { Color32::TRANSPARENT };
         let painter = ui.painter();
         painter.rect(rect, 8.0, theme::raised(), Stroke::new(2.0, edge), StrokeKind::Inside);

@@ -157,6 +157,8 @@ pub struct Theatre {
     remark: Option<(String, bool, Instant)>,
     /// Since when Esc is held.
     leaving: Option<Instant>,
+    /// Whether the press that released the arm still lasts.
+    has_released: bool,
     /// Whether the button that ends the theatre was held in the last frame.
     end_held: bool,
     /// Since when the stop is held to release the arm.
@@ -266,6 +268,7 @@ impl Theatre {
             notices: Vec::new(),
             remark: None,
             leaving: None,
+            has_released: false,
             end_held: false,
             releasing: None,
             verified: opened.verified,

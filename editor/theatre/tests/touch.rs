@@ -83,6 +83,15 @@ fn a_whole_procedure_is_driven_by_pedal_and_touch() {
     let stop = middle(&window, "Release the arm");
     input::touch_down(&mut window.harness, stop);
     window.until("it is released", |t| !t.is_stopped());
+    input::steps(&mut window.harness, 5);
+    assert!(!window.theatre().is_stopped(), "the finger that released it is still there");
+    input::touch_up(&mut window.harness, stop);
+    // The next touch stops it, and holding releases it again.
+    input::touch_down(&mut window.harness, stop);
+    assert!(window.theatre().is_stopped());
+    input::touch_up(&mut window.harness, stop);
+    input::touch_down(&mut window.harness, stop);
+    window.until("it is released again", |t| !t.is_stopped());
     input::touch_up(&mut window.harness, stop);
 
     // A tap on the button does not end it, holding does.

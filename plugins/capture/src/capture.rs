@@ -85,11 +85,17 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Grabs all views, played at `speed`. Returns `None` for an empty tick.
+    /// Grabs all views, played at `speed`. Returns `None` for an empty tick, and at the end of paused files.
     ///
     /// # Errors
     /// A view ended too early; in batch mode also: a device is gone.
-    fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings, speed: f64) -> Result<Option<()>> {
+    fn grab(
+        &mut self,
+        cx: &Context<'_>,
+        clock: Clock<'_>,
+        params: &Settings,
+        (speed, is_paused): (f64, bool),
+    ) -> Result<Option<()>> {
         let mut grabbed = self.views.grab(cx, clock, self.lost.is_some());
         if grabbed == Grabbed::End {
             if let Some(words) = self.views.left_over() {
@@ -108,6 +114,7 @@ impl Capture {
                     cx.info("all sources are available again");
                 }
             }
+            Grabbed::End if is_paused => return Ok(None),
             Grabbed::End => {
                 self.end(cx);
                 return Ok(None);
@@ -356,17 +363,12 @@ impl Capture {
         // Cameras set their own pace, and a still image has none.
         let plays_file = !self.views.has_device() && !self.views.are_stills();
         let speed = if plays_file && !cx.is_batch() { params.playing.speed } else { 1.0 };
+        let is_paused = plays_file && !cx.is_batch() && params.playing.paused;
         if self.steps.holds(cx, &params.playing) && plays_file && self.since_open > 0 {
-            cx.set_capture_ns(self.timing.hold((HELD_PERIOD_S * 1e9) as i64));
-            self.wait(cx, &clock, params.pace, HELD_PERIOD_S);
-            // A damaged frame leaves no picture.
-            if self.views.iter().any(|view| view.is_there && view.picture.width == 0) {
-                return Ok(None);
-            }
-            return self.parts(cx, &clock, params).map(Some);
+            return self.hold(cx, &clock, params);
         }
-        if self.grab(cx, &clock, params, speed)?.is_none() {
-            return Ok(None);
+        if self.grab(cx, &clock, params, (speed, is_paused))?.is_none() {
+            return if is_paused { self.hold(cx, &clock, params) } else { Ok(None) };
         }
         self.set_time(cx, &clock, speed);
         self.wait(cx, &clock, params.pace, 1.0 / (self.views.rate_hz() * speed));
@@ -381,6 +383,19 @@ impl Capture {
         }
         self.find_white(cx, params.bit_depth)?;
         self.parts(cx, &clock, params).map(Some)
+    }
+
+    /// Repeats the frame that is shown; an empty tick where there is none.
+    ///
+    /// # Errors
+    /// A crop does not fit a frame.
+    fn hold(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings) -> Result<Option<Vec<Part>>> {
+        cx.set_capture_ns(self.timing.hold((HELD_PERIOD_S * 1e9) as i64));
+        self.wait(cx, clock, params.pace, HELD_PERIOD_S);
+        // A damaged frame has left no picture.
+        self.views.iter().for_each(|view| view.is_there = view.picture.width > 0);
+        let parts = self.parts(cx, clock, params)?;
+        Ok((!parts.is_empty()).then_some(parts))
     }
 
     /// The region of the newest frame that each view shows.

@@ -78,3 +78,29 @@ fn files_are_played_faster_and_slower() {
     let steps: Vec<i64> = times.windows(2).map(|pair| (pair[1] - pair[0]) / 1000).collect();
     assert_eq!(steps, [2500, 2500, 2500, 40_000, 40_000, 40_000, 40_000, 40_000, 40_000, 40_000, 40_000]);
 }
+
+#[test]
+fn a_paused_file_stays_at_its_last_frame() {
+    let folder = Folder::new("last");
+    for index in 0..3 {
+        folder.image(&format!("{index}.png"), index, WIDTH);
+    }
+    write_video(&folder.0.join("v.avi"), 3);
+    for (source, scale) in [("*.png", 1.0), ("v.avi", 20.0)] {
+        let params = |rest: &str| of(&format!(r#"left = "{source}"{rest}"#));
+        let mut node = live(&folder, &format!(r#"left = "{source}""#));
+        assert_eq!([0; 3].map(|_| shown(&mut node, scale).0), [0, 1, 2], "{source}");
+        for step in 1..4 {
+            node.set_params(&params(&format!(", paused = true, step = {step}"))).unwrap();
+            assert_eq!(shown(&mut node, scale).0, 2, "{source}");
+        }
+        // An instance that replaces it has no frame to show, and does not end either.
+        let state = node.save_state().unwrap().unwrap();
+        let mut next = live(&folder, &format!(r#"left = "{source}", paused = true"#));
+        next.load_state(&state).unwrap();
+        let out = next.process().unwrap();
+        assert!(!out.ended() && out.is_empty("left").unwrap(), "{source}");
+        next.set_params(&params("")).unwrap();
+        assert!(next.process().unwrap().ended(), "{source}: it ends once it plays");
+    }
+}

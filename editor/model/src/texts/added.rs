@@ -120,7 +120,7 @@ mod tests {
 
     /// The English texts with every word in brackets, as a file of another language.
     fn bracketed() -> String {
-        let mut all = String::from("language-name = Probe\nlanguage-decimal-sign = ,\n");
+        let mut all = String::new();
         for (_, _, text) in files().iter().filter(|(code, ..)| *code == "en") {
             let resource = fluent_syntax::parser::parse(*text).expect("English has no mistakes");
             all.push_str(&fluent_syntax::serializer::serialize(&resource));
@@ -132,7 +132,8 @@ mod tests {
             (_, Some((name, text)), _) => format!("{name} = ⟦{text}"),
             _ => line.to_owned(),
         };
-        all.lines().map(line).collect::<Vec<_>>().join("\n")
+        let texts = all.lines().map(line).collect::<Vec<_>>().join("\n");
+        format!("language-name = Probe\nlanguage-decimal-sign = ,\n{texts}\n")
     }
 
     #[test]
