@@ -32,6 +32,11 @@ const SHOWN: [(&str, &str, Pressed); 9] = [
     ("keys", "", Some((NONE, Key::F1))),
 ];
 
+/// Those of them that are dialogs.
+const DIALOGS: [&str; 2] = ["add", "keys"];
+/// Those of them whose pictures are written.
+const WRITTEN: [&str; 4] = ["node", "plots", "timeline", "keys"];
+
 /// The visible part of each text of the last frame, beyond the graph itself, whose nodes may lie below a panel.
 fn texts(window: &Window) -> Vec<(String, Rect)> {
     fn collect(shape: &Shape, clip: Rect, found: &mut Vec<(String, Rect)>) {
@@ -91,13 +96,16 @@ fn nothing_overlaps_at_any_size_in_any_theme_or_language() {
                 for (name, node, key) in SHOWN {
                     let what = format!("{width}x{height}_{theme_name}_{}_{name}", language.code());
                     show(&mut window, node, key);
-                    wrong.extend(overlaps(&texts(&window)).into_iter().map(|text| format!("{what}: {text}")));
+                    // A dialog lies over the panels.
+                    if !DIALOGS.contains(&name) {
+                        wrong.extend(overlaps(&texts(&window)).into_iter().map(|text| format!("{what}: {text}")));
+                    }
                     let whole = Rect::from_min_size(Default::default(), Vec2::new(width, height) / scale).expand(0.5);
                     let outside = texts(&window).into_iter().filter(|(_, rect)| !whole.contains_rect(*rect));
                     wrong.extend(outside.map(|(text, rect)| format!("{what}: `{text}` at {rect:?} leaves the window")));
                     // Each theme and each language, not both of both: a picture takes seconds.
                     let is_written = (theme == Choice::Dark) == (language == Language::English);
-                    if let Some(to) = to.as_ref().filter(|_| is_written) {
+                    if let Some(to) = to.as_ref().filter(|_| is_written && WRITTEN.contains(&name)) {
                         write(&window, &Path::new(to).join(format!("{what}.png")));
                     }
                     put_away(&mut window, key);
