@@ -1,5 +1,6 @@
 //! `capture`: synchronised views of cameras, files and pipelines.
 
+mod holding;
 mod resuming;
 
 use std::time::Duration;
@@ -14,7 +15,7 @@ use panoscope_node::{
 use crate::crop::{self, Halves};
 use crate::kept_frames::KeptFrames;
 use crate::pairing::Grabbed;
-use crate::playing::{HELD_PERIOD_S, Steps};
+use crate::playing::Steps;
 use crate::position::Position;
 use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
 use crate::source::{Clock, Demands, Lock, SourceName, Stream};
@@ -383,19 +384,6 @@ impl Capture {
         }
         self.find_white(cx, params.bit_depth)?;
         self.parts(cx, &clock, params).map(Some)
-    }
-
-    /// Repeats the frame that is shown; an empty tick where there is none.
-    ///
-    /// # Errors
-    /// A crop does not fit a frame.
-    fn hold(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings) -> Result<Option<Vec<Part>>> {
-        cx.set_capture_ns(self.timing.hold((HELD_PERIOD_S * 1e9) as i64));
-        self.wait(cx, clock, params.pace, HELD_PERIOD_S);
-        // A damaged frame has left no picture.
-        self.views.iter().for_each(|view| view.is_there = view.picture.width > 0);
-        let parts = self.parts(cx, clock, params)?;
-        Ok((!parts.is_empty()).then_some(parts))
     }
 
     /// The region of the newest frame that each view shows.
