@@ -469,7 +469,11 @@ fn elided(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use panoscope_editor_model::graph_view::NodeView;
+    use panoscope_graph::{NodeOutline, NodeType, Param, ParamKind};
 
     #[test]
     fn labels_of_boxes_stay_inside_the_picture() {
@@ -482,5 +486,28 @@ mod tests {
         }
         let above = label_at(Rect::from_min_size(pos2(30.0, 40.0), vec2(20.0, 20.0)), size, picture);
         assert_eq!(above, pos2(30.0, 28.0), "above the box where there is space");
+    }
+
+    #[test]
+    fn boxes_below_the_least_score_of_their_nodes_are_not_shown() {
+        let node = |id: &str, given: Option<f64>| {
+            let kind = ParamKind::Float { default: 0.25, min: None, max: None, step: None };
+            let param = toml::from_str::<Param>("name = \"min_score\"\nkind = \"float\"\ndefault = 0.0\n");
+            let param = Param { kind, ..param.expect("a parameter") };
+            let params = given.map(|value| ("min_score".to_owned(), value.into())).into_iter().collect();
+            let (id, type_name, inputs, line) = (id.to_owned(), "yolo".to_owned(), Vec::new(), 1);
+            NodeView {
+                outline: NodeOutline { id, type_name, inputs, params, line },
+                node_type: Some(Arc::new(NodeType { params: vec![param], ..NodeType::default() })),
+                position: None,
+                mistakes: Vec::new(),
+                is_part: false,
+            }
+        };
+        let nodes = vec![node("find", None), node("show", Some(0.5))];
+        let view = GraphView { nodes, ..GraphView::default() };
+        assert_eq!(min_score(&view, &["find"]), 0.25, "the default");
+        assert_eq!(min_score(&view, &["find", "show"]), 0.5, "the greatest of the two");
+        assert_eq!(min_score(&view, &["nobody"]), 0.0);
     }
 }
