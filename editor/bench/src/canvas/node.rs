@@ -504,8 +504,8 @@ mod tests {
                 is_part: false,
             }
         };
-        let nodes = vec![node("find", None), node("show", Some(0.5))];
-        let view = GraphView { nodes, ..GraphView::default() };
+        let mut view = GraphView::default();
+        view.nodes.extend([node("find", None), node("show", Some(0.5))]);
         assert_eq!(min_score(&view, &["find"]), 0.25, "the default");
         assert_eq!(min_score(&view, &["find", "show"]), 0.5, "the greatest of the two");
         assert_eq!(min_score(&view, &["nobody"]), 0.0);
