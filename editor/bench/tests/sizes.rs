@@ -42,7 +42,8 @@ fn texts(window: &Window) -> Vec<(String, Rect)> {
     fn collect(shape: &Shape, clip: Rect, found: &mut Vec<(String, Rect)>) {
         match shape {
             Shape::Vec(shapes) => shapes.iter().for_each(|shape| collect(shape, clip, found)),
-            Shape::Text(text) => {
+            // The names of axes are turned.
+            Shape::Text(text) if text.angle == 0.0 => {
                 for row in &text.galley.rows {
                     let rect = row.rect_without_leading_space().translate(text.pos.to_vec2()).intersect(clip);
                     let words: String = row.glyphs.iter().map(|glyph| glyph.chr).collect();

@@ -12,7 +12,7 @@ use panoscope_editor_model::content::Content;
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::observe::{Counters, Output, Point};
 use panoscope_editor_model::picture::short;
-use panoscope_editor_model::texts::text;
+use panoscope_editor_model::texts::{number, text};
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 
@@ -196,6 +196,7 @@ impl Plots {
         });
         let related = related.then(|| self.choose(ui));
         let mut plot = Plot::new(("curves", related.is_some())).allow_scroll(false).show_grid(true);
+        plot = plot.y_axis_formatter(|mark, _| in_steps(mark.value, mark.step_size));
         plot = match (self.kind, &related) {
             (Kind::Scatter, _) => plot.x_axis_label(self.x.as_str()).y_axis_label(self.y.as_str()),
             (_, Some(_)) => {
@@ -298,6 +299,12 @@ impl Plots {
     }
 }
 
+/// A number at an axis whose marks are `step` apart, as the language of the window writes it.
+fn in_steps(value: f64, step: f64) -> String {
+    let places = (-step.max(1e-9).log10() - 1e-9).ceil().max(0.0);
+    number(value, places as u8)
+}
+
 /// All points as CSV, one per line.
 fn csv(kind: Kind, curves: &[Curve]) -> String {
     let mut out = format!("curve,time_s,{}\n", kind.column());
@@ -315,7 +322,18 @@ mod tests {
     use super::*;
     use eframe::egui::Context;
     use panoscope_editor_model::picture::RenderedPacket;
+    use panoscope_editor_model::texts::{Language, set_language};
     use std::collections::HashMap;
+
+    #[test]
+    fn axes_have_the_decimal_sign_of_the_language() {
+        assert_eq!(
+            (in_steps(0.2, 0.1), in_steps(20.0, 10.0), in_steps(0.25, 0.05)),
+            ("0.2".into(), "20".into(), "0.25".into())
+        );
+        set_language(Language::German);
+        assert_eq!(in_steps(0.2, 0.1), "0,2");
+    }
 
     #[test]
     fn values_of_ports_become_curves_and_a_table() {
