@@ -775,6 +775,9 @@ class NodeTypes:
         timeout_s: Number = ...,
         open_limit_s: Number = ...,
         calibration: File = ...,
+        paused: Flag = ...,
+        step: Whole = ...,
+        speed: Number = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Capture:
@@ -801,7 +804,10 @@ class NodeTypes:
         tolerance_ms: Maximum time between frames that belong together. 0: half a period of the fastest view. (0 to 10000 ms; default 0)
         timeout_s: A camera, stream or live pipeline without data for this long is lost; it is reopened until it is back. (0.1 to 60 s; default 1)
         open_limit_s: Time limit for opening a camera, stream or pipeline. (0.1 to 600 s; default 10)
-        calibration: Calibration file of the first two views: OpenCV's FileStorage YAML, a Kalibr camera chain, or the file of KITTI, Middlebury, StereoMIS or EndoVis; the two files of ROS (left; right), of OpenCV's sample or of Hamlyn (intrinsics; extrinsics) are separated by a semicolon. (default "")"""
+        calibration: Calibration file of the first two views: OpenCV's FileStorage YAML, a Kalibr camera chain, or the file of KITTI, Middlebury, StereoMIS or EndoVis; the two files of ROS (left; right), of OpenCV's sample or of Hamlyn (intrinsics; extrinsics) are separated by a semicolon. (default "")
+        paused: Holds files at their frame, which is repeated ten times a second, so that changes of other nodes show on it. Live mode only; cameras go on. Each repetition is a tick: `read_maps` and `read_labels`, which count ticks, no longer fit afterwards; `data_set` does. (default False)
+        step: Shows one more frame whenever this number changes, while `paused`. (0 to 1000000000; default 0)
+        speed: How fast files are played in live mode: 2 is twice their rate. Capture times pass as the frames are shown. (0.25 to 4 ratio; default 1)"""
 
     def colorize(
         self,
@@ -1059,6 +1065,9 @@ class NodeTypes:
         rate_hz: Number = ...,
         pace: Union[Literal["auto", "on", "off"], Arg] = ...,
         on_damage: Union[Literal["fail", "skip"], Arg] = ...,
+        paused: Flag = ...,
+        step: Whole = ...,
+        speed: Number = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> DataSet:
@@ -1069,7 +1078,10 @@ class NodeTypes:
         loop: Starts again at the end. (default False)
         rate_hz: Frames per second of media time. 0: the times in videos, and 30 per second for images. (0 to 1000 Hz; default 0)
         pace: When to hold frames back to their rate. (default "auto")
-        on_damage: How a damaged image is handled. (default "fail")"""
+        on_damage: How a damaged image is handled. (default "fail")
+        paused: Holds files at their frame, which is repeated ten times a second, so that changes of other nodes show on it. Live mode only; cameras go on. Each repetition is a tick: `read_maps` and `read_labels`, which count ticks, no longer fit afterwards; `data_set` does. (default False)
+        step: Shows one more frame whenever this number changes, while `paused`. (0 to 1000000000; default 0)
+        speed: How fast files are played in live mode: 2 is twice their rate. Capture times pass as the frames are shown. (0.25 to 4 ratio; default 1)"""
 
     def disparity_fbs(
         self,

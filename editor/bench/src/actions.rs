@@ -82,11 +82,15 @@ pub enum Action {
     Timeline,
     /// Record the run from its start, or end the recording and show it.
     Record,
-    /// Play the recording, or pause it.
+    /// Play the recording or the files, or pause them.
     Play,
+    /// Begin again at the end, or not.
+    Loop,
+    /// The next speed of the recording or the files.
+    Speed,
     /// One tick back in the recording.
     TickBack,
-    /// One tick forward in the recording.
+    /// One tick forward in the recording or the files.
     TickForward,
     /// Show the paths of dropped and late ticks.
     Trace,
@@ -199,6 +203,8 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Timeline, NONE, Key::J, named("action-timeline")),
         (Record, Modifiers::SHIFT, Key::J, named("action-record")),
         (Play, NONE, Key::Q, named("action-play")),
+        (Loop, Modifiers::SHIFT, Key::Q, named("action-loop")),
+        (Speed, NONE, Key::Z, named("action-speed")),
         (TickBack, NONE, Key::Comma, named("action-tick-back")),
         (TickForward, NONE, Key::Period, named("action-tick-forward")),
         (Trace, NONE, Key::D, named("action-trace")),

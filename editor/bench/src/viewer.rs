@@ -8,6 +8,7 @@ use eframe::egui::{
 
 use crate::probing::{self, PROFILE_HEIGHT, Probing};
 use crate::view3d::View3d;
+use panoscope_editor_model::comparing::{Comparison, ComparisonRequest, Measures};
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::probe::{Probe, ProbeRequest};
@@ -26,9 +27,11 @@ const BLINK_S: f64 = 0.6;
 /// How two outputs are compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Compare {
-    /// Side by side with a movable line between them.
+    /// One picture, with a movable line between the two outputs.
     #[default]
     Wipe,
+    /// Side by side.
+    Beside,
     /// Alternating.
     Blink,
     /// The amplified absolute difference.
@@ -136,6 +139,12 @@ impl Viewer {
         &mut self.view3d
     }
 
+    /// The outputs to compare in numbers; `None` while none are compared.
+    pub fn comparison_request(&self) -> Option<ComparisonRequest> {
+        let (a, b) = self.a.as_ref().zip(self.b.as_ref())?;
+        Some(ComparisonRequest { output: a.output.clone(), other: b.output.clone(), packet: a.packet.clone() })
+    }
+
     /// Starts or ends picking a value on the image.
     pub fn set_picking(&mut self, picking: bool) {
         self.picking = picking;
@@ -153,7 +162,7 @@ impl Viewer {
         shown: &OutputCache,
         others: &[Source],
         trajectories: &[Output],
-        probe: Option<&Probe>,
+        (probe, comparison): (Option<&Probe>, Option<&Comparison>),
     ) -> Option<(Rect, Rect)> {
         let a = self.a.clone()?;
         if self.viewpoint().is_some() {
@@ -206,7 +215,12 @@ impl Viewer {
                         .map(|(key, by)| by * ui.input_mut(|i| i.count_and_consume_key(Modifiers::NONE, key)) as f32);
                     self.wipe = (self.wipe + by[0] + by[1]).clamp(0.0, 1.0);
                 }
-                self.both(ui, &painter, inner, (&a, texture), &b, shown);
+                if self.compare == Compare::Beside {
+                    beside(&painter, room, [&a, &b], shown);
+                } else {
+                    self.both(ui, &painter, inner, (&a, texture), &b, shown);
+                }
+                numbers(ui, rect, &b, comparison);
             }
         }
         if let Some(age) = shown.stale(&a.output) {
@@ -254,6 +268,7 @@ impl Viewer {
                 tag(painter, pos2(x - 8.0, top), Align2::RIGHT_TOP, a.0.output.to_string());
                 tag(painter, pos2(x + 8.0, top), Align2::LEFT_TOP, b.output.to_string());
             }
+            Compare::Beside => {}
             Compare::Blink => {
                 let first = (ui.input(|i| i.time) / BLINK_S) as i64 % 2 == 0;
                 picture(painter, if first { a.1 } else { second }, inner, Color32::WHITE);
@@ -315,6 +330,7 @@ impl Viewer {
                         for (mode, caption) in [
                             (Compare::Difference, text!("viewer-difference")),
                             (Compare::Blink, text!("viewer-blink")),
+                            (Compare::Beside, text!("viewer-beside")),
                             (Compare::Wipe, text!("viewer-wipe")),
                         ] {
                             if ui.add(Button::new(caption).selected(self.compare == mode)).clicked() {
@@ -371,6 +387,48 @@ fn foot_of(rect: Rect) -> Rect {
 fn fit(room: Rect, size: Vec2) -> Rect {
     let scale = (room.width() / size.x).min(room.height() / size.y);
     Rect::from_center_size(room.center(), size * scale)
+}
+
+/// Draws two outputs side by side at one scale, each with its name.
+fn beside(painter: &Painter, room: Rect, sources: [&Source; 2], shown: &OutputCache) {
+    let half = vec2((room.width() - 8.0) / 2.0, room.height());
+    let places = [Rect::from_min_size(room.min, half), Rect::from_min_size(room.right_top() - vec2(half.x, 0.0), half)];
+    for (source, place) in sources.into_iter().zip(places) {
+        let Some((texture, size)) = shown.texture(&source.output) else { continue };
+        let inner = fit(place, size);
+        picture(painter, texture, inner, Color32::WHITE);
+        tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, source.output.to_string());
+    }
+}
+
+/// How two outputs differ, as text.
+fn in_numbers(comparison: Option<&Comparison>) -> String {
+    let Some(Comparison { seq, measures }) = comparison else { return text!("viewer-numbers-none").to_owned() };
+    let tick = usize::try_from(*seq).unwrap_or(usize::MAX);
+    match *measures {
+        None => text!("viewer-numbers-unlike").to_owned(),
+        Some(Measures::Images { psnr_db, ssim }) => {
+            text!("viewer-numbers-images", psnr = decimal(psnr_db, 1), ssim = decimal(ssim, 4), tick = tick)
+        }
+        Some(Measures::Maps { mean_error, p95_error, density, unit }) => text!(
+            "viewer-numbers-maps",
+            mean = decimal(mean_error, 3),
+            p95 = decimal(p95_error, 2),
+            density = decimal(100.0 * density, 1),
+            unit = unit,
+            tick = tick
+        ),
+    }
+}
+
+/// Shows how two outputs differ at the right of the buttons below them. `b` is the one that is compared with.
+fn numbers(ui: &Ui, rect: Rect, b: &Source, comparison: Option<&Comparison>) {
+    let caption = in_numbers(comparison);
+    let (at, font) = (foot_of(rect).right_center(), FontId::proportional(13.0));
+    let label = ui.painter().text(at, Align2::RIGHT_CENTER, &caption, font, theme::text());
+    let response = ui.interact(label, Id::new("viewer-numbers"), Sense::hover());
+    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, &caption));
+    response.on_hover_text(text!("viewer-numbers-about", output = b.output.to_string()));
 }
 
 fn picture(painter: &Painter, texture: TextureId, rect: Rect, tint: Color32) {

@@ -8,6 +8,7 @@ mod attached;
 mod begin;
 mod build;
 mod common;
+mod comparing;
 mod corpus;
 mod docks;
 mod document;
@@ -19,7 +20,9 @@ mod looks;
 #[path = "../../theatre/tests/common/looks.rs"]
 mod looks_graph;
 mod parts;
+mod playing;
 mod probes;
+mod sizes;
 mod source;
 mod states;
 mod timeline;

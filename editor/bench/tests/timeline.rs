@@ -1,5 +1,6 @@
 //! A recording on the nodes of the graph: scrubbed, stepped, looped, and compared with a second run, while the graph keeps running.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,8 +9,10 @@ use crate::common::{Folder, GRAPH, PATIENCE, Window, has_plugin, input, nothing_
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
-use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::timeline::second;
+use panoscope_editor_model::computing::Request;
+use panoscope_editor_model::observe::{Output, PreviewRequest};
+use panoscope_editor_model::picture::RenderedPacket;
+use panoscope_editor_model::timeline::{Held, Timeline, second};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{GraphText, check};
 use panoscope_host::loader::{self as loader, Loader};
@@ -111,6 +114,7 @@ fn a_recording_is_moved_through_and_compared_while_the_graph_runs() {
         app.shown_tick(&mean) == Some(30) && app.shown_tick(&second(&mean)) == Some(30)
     });
     assert!(window.app().wipe().is_some());
+    window.until_shown("PSNR ");
     window.key(NONE, Key::Escape);
     window.harness.get_by_label("Close recording").click_accesskit();
     window.until("the running graph again", |app| app.timeline().is_none() && app.shown_tick(&output).is_some());
@@ -119,7 +123,7 @@ fn a_recording_is_moved_through_and_compared_while_the_graph_runs() {
 }
 
 #[test]
-fn nodes_that_a_recording_lacks_say_so_and_no_time_is_that_of_the_running_graph() {
+fn nodes_that_a_recording_lacks_are_computed_and_no_time_is_that_of_the_running_graph() {
     if !has_plugin("flow") {
         return;
     }
@@ -136,11 +140,13 @@ fn nodes_that_a_recording_lacks_say_so_and_no_time_is_that_of_the_running_graph(
     window.steps(3);
     let has = |node: &str, port: &str| window.app().timeline().expect("open").has(&Output::new(node, port));
     assert!(has("b", "image") && !has("mean", "image"));
-    window.until_painted("not in the recording");
+    // `mean` is computed from the recorded source, at the tick that is shown.
+    let mean = Output::new("mean", "image");
+    window.until("it is computed", |app| app.timeline().expect("open").held(&mean) == Held::Computed);
+    window.app().timeline().expect("open").seek(0.2);
+    window.until("its picture", |app| app.shown_tick(&mean) == Some(10));
+    window.until_painted("computed from the recording");
     let painted = window.painted();
-    // `mean` has no picture there; `sink` and `kept` show what they read.
-    let lacking = painted.iter().filter(|text| *text == "not in the recording").count();
-    assert!(lacking >= 2, "the picture and the line below it: {painted:#?}");
     assert!(painted.iter().any(|text| text == "recorded"), "{painted:#?}");
     assert!(!painted.iter().any(|text| text.contains(" · p99")), "times of the running graph: {painted:#?}");
     assert!(
@@ -183,4 +189,70 @@ fn a_key_records_every_output_and_shows_the_recording() {
     window.until_painted("g_0001.mcap");
     window.key(NONE, Key::Enter);
     window.until("it is open again", |app| app.timeline().is_some());
+}
+
+/// The pictures of an output at a moment of a recording, once they are there.
+fn pixels_at(timeline: &Timeline, output: &Output, at_s: f64) -> Vec<u8> {
+    timeline.seek(at_s);
+    let packet = PreviewRequest { packet: "image".to_owned(), max_width: 64, ..PreviewRequest::default() };
+    timeline.set_requests(HashMap::from([(output.clone(), packet)]));
+    let until = Instant::now() + PATIENCE;
+    loop {
+        timeline.follow_computation();
+        // 50 ticks a second.
+        let is_of = |packet: &RenderedPacket| packet.seq == (at_s * 50.0).round() as u64;
+        let rendered = timeline.take().remove(output).filter(is_of);
+        if let Some(pixels) = rendered.and_then(|packet| packet.pixels) {
+            return pixels.rgba;
+        }
+        assert!(Instant::now() < until, "no picture at {at_s} s: {:?}", timeline.problem());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn what_is_computed_from_the_sources_is_what_was_computed_when_they_were_recorded() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("computed");
+    // With the past, pictures depend on all ticks before.
+    let past = "image = \"b.image\", past = { from = \"mean.image\", delay = 1 }";
+    let text = GRAPH.replace("mode = \"live\"", "mode = \"batch\"").replacen("image = \"b.image\"", past, 1);
+    let files = ["all.mcap", "sources.mcap"].map(|name| folder.0.join(name));
+    for (file, all_ports) in files.iter().zip([true, false]) {
+        record(&folder.0.join("recorded.toml"), &text, file, 20, all_ports);
+    }
+    let mean = Output::new("mean", "image");
+    let [all, mut sources] = files.each_ref().map(|file| Timeline::open(file, Arc::new(|| ())).expect("a recording"));
+    assert_eq!((all.held(&mean), sources.held(&mean)), (Held::Recorded, Held::Lacking));
+    let loader = || Arc::new(Loader::search(&loader::search_path(&[])));
+    let compute = |timeline: &mut Timeline, text: &str| {
+        let graph = (folder.0.join("g.toml"), text.to_owned());
+        timeline.compute(Request { graph, loader: loader() }).expect("it starts");
+        let until = Instant::now() + PATIENCE;
+        while timeline.computation().is_some_and(|computation| computation.percent().is_some()) {
+            assert!(Instant::now() < until, "it does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        timeline.follow_computation();
+    };
+    compute(&mut sources, &text);
+    assert_eq!(sources.held(&mean), Held::Computed, "{:?}", sources.computation().and_then(|c| c.problem()));
+    for at_s in [0.3, 0.06] {
+        assert!(pixels_at(&sources, &mean, at_s) == pixels_at(&all, &mean, at_s), "{at_s} s");
+    }
+    // Another value gives other pictures.
+    compute(&mut sources, &text.replace("past_weight = 100", "past_weight = 250"));
+    assert!(pixels_at(&sources, &mean, 0.3) != pixels_at(&all, &mean, 0.3));
+    // A graph of other sources cannot be computed, and its nodes say so.
+    compute(&mut sources, &text.replace("nodes.b]", "nodes.c]").replace("b.image", "c.image"));
+    let problem = sources.computation().and_then(|computation| computation.problem());
+    assert!(problem.as_ref().is_some_and(|problem| problem.contains("`c`")), "{problem:?}");
+    assert_eq!(sources.held(&mean), Held::Lacking);
+    // What was computed leaves no file behind.
+    drop((all, sources));
+    let left = std::fs::read_dir(&folder.0).expect("a folder").flatten().map(|entry| entry.file_name());
+    let left: Vec<_> = left.filter(|name| name.to_string_lossy().contains("computed")).collect();
+    assert!(left.is_empty(), "{left:?}");
 }

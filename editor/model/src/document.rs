@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use panoscope_graph::edit::{EditError, FileEdits};
+use panoscope_graph::edit::{EditError, FileEdits, GraphEdit};
 use panoscope_graph::{Arg, Catalog, Diagnostic, GraphOptions, GraphText, NodeType, ParamKind, Severity, check};
 use panoscope_host::loader::Loader;
 
@@ -20,6 +20,9 @@ use crate::history::{Change, History, Origin};
 
 /// The checker's code for a graph without nodes.
 const EMPTY_GRAPH: &str = "empty-graph";
+
+/// A value that runs and stands in no file: node, parameter, value.
+pub type PlayedValue = (String, String, toml::Value);
 
 /// Texts of part and overlay files, by absolute path.
 type Texts = BTreeMap<PathBuf, Arc<str>>;
@@ -53,8 +56,12 @@ pub struct Document {
     pins: Vec<(String, String, String)>,
     /// Overlays and values of arguments.
     given: GraphOptions,
-    /// One text of all files, for the session; the text itself for a graph of one file.
+    /// One text of all files; the text itself for a graph of one file.
+    whole: Arc<str>,
+    /// The same with [`Self::played`], for the session.
     runnable: Arc<str>,
+    /// Values of parameters that run and stand in no file: node, parameter, value.
+    played: Vec<PlayedValue>,
     undo: Vec<UndoStep>,
     redo: Vec<UndoStep>,
     merge: Option<String>,
@@ -87,7 +94,9 @@ impl Document {
             args: Vec::new(),
             missing_args: Vec::new(),
             pins: Vec::new(),
+            whole: text.into(),
             runnable: text.into(),
+            played: Vec::new(),
             undo: Vec::new(),
             redo: Vec::new(),
             merge: None,
@@ -126,9 +135,44 @@ impl Document {
         self.text != self.saved || !self.changed_files().is_empty()
     }
 
-    /// One text of the graph file with its parts, overlays and arguments: what the session runs.
+    /// One text of the graph file with its parts, overlays and arguments, and with the values of [`Self::set_played`]: what the session runs.
     pub fn runnable(&self) -> &Arc<str> {
         &self.runnable
+    }
+
+    /// One text of the graph file with its parts, overlays and arguments.
+    pub fn whole(&self) -> &Arc<str> {
+        &self.whole
+    }
+
+    /// Values that run and stand in no file: how files are played.
+    pub fn played(&self) -> &[PlayedValue] {
+        &self.played
+    }
+
+    /// Sets the values that run and stand in no file. The texts, their history and undo do not change.
+    pub fn set_played(&mut self, played: Vec<PlayedValue>) {
+        if played != self.played {
+            self.played = played;
+            self.revision += 1;
+            self.merge_played();
+        }
+    }
+
+    /// Puts the values that stand in no file into the text that runs.
+    fn merge_played(&mut self) {
+        self.runnable = Arc::clone(&self.whole);
+        let here = |(node, ..): &&PlayedValue| self.view.flat().node(node).is_some();
+        let played: Vec<&PlayedValue> = self.played.iter().filter(here).collect();
+        // A text with mistakes does not run.
+        if played.is_empty() || !self.view.valid {
+            return;
+        }
+        let edited = GraphEdit::parse(&self.whole).and_then(|mut edit| {
+            played.iter().try_for_each(|(node, param, value)| edit.set_param(node, param, value))?;
+            Ok(edit.text())
+        });
+        self.runnable = edited.map_or_else(|_| Arc::clone(&self.whole), Arc::from);
     }
 
     /// Part and overlay files whose texts differ from the disk's: path, text now, text as it was read or saved. A file that was created here has
@@ -413,7 +457,7 @@ impl Document {
         // An empty graph is not reported as a mistake: it is a new graph.
         let diagnostics: Vec<Diagnostic> =
             checked.diagnostics.iter().filter(|d| d.code != EMPTY_GRAPH).cloned().collect();
-        self.runnable = match &checked.graph {
+        self.whole = match &checked.graph {
             Some(_) if !parsed.is_plain() => parsed.flattened(catalog).into_owned().into(),
             _ => Arc::clone(&self.text),
         };
@@ -439,6 +483,7 @@ impl Document {
         let view = folding::drawn(view, &parsed);
         self.pins = pins_of(&self.text, &parsed, &view);
         self.view = Arc::new(view);
+        self.merge_played();
     }
 }
 

@@ -6,6 +6,8 @@
 
 pub mod arguments;
 pub mod attaching;
+pub mod comparing;
+pub mod computing;
 pub mod content;
 pub mod copying;
 pub mod difference;
@@ -27,6 +29,7 @@ pub mod output;
 pub mod pedal;
 pub mod picture;
 pub mod pixels;
+pub mod playing;
 pub mod presets;
 pub mod probe;
 pub mod problems;

@@ -16,6 +16,7 @@ use panoscope_host::attach::Attachment;
 use panoscope_host::attach::message::Wanted;
 use serde::{Deserialize, Serialize};
 
+use crate::comparing::{self, Comparison, ComparisonRequest};
 pub use crate::output::{Output, WireEnd};
 use crate::picture::{self, Range, RenderedPacket};
 use crate::probe::{self, Probe, ProbeRequest};
@@ -106,6 +107,9 @@ struct Mailbox {
     /// What is asked about the values of pictures, and the newest answers.
     probe_requests: HashMap<Output, ProbeRequest>,
     probes: HashMap<Output, Probe>,
+    /// Which outputs are compared in numbers, and the newest numbers.
+    compared: Option<ComparisonRequest>,
+    comparison: Option<Comparison>,
     counters: Arc<Counters>,
     /// For each node, the time of the newest fault that the user has acknowledged, ms since 1970.
     acknowledged: HashMap<String, u64>,
@@ -142,6 +146,7 @@ impl Observer {
             quit: Arc::clone(&quit),
             rounds: Arc::clone(&rounds),
             outputs: HashMap::new(),
+            compared: None,
             generation: 0,
             window: Window::default(),
             start: Instant::now(),
@@ -178,6 +183,20 @@ impl Observer {
     /// The newest values of pictures.
     pub fn probes(&self) -> HashMap<Output, Probe> {
         lock(&self.mailbox).probes.clone()
+    }
+
+    /// Sets which outputs are compared in numbers, tick by tick; both must be previewed.
+    pub fn compare(&self, request: Option<ComparisonRequest>) {
+        let mut mailbox = lock(&self.mailbox);
+        if mailbox.compared != request {
+            mailbox.compared = request;
+            mailbox.comparison = None;
+        }
+    }
+
+    /// How the newest packets of one tick of the compared outputs differ.
+    pub fn comparison(&self) -> Option<Comparison> {
+        lock(&self.mailbox).comparison
     }
 
     /// Takes the newest fault of a node, or of all nodes, out of the counters until there is another one. Returns how many there were.
@@ -324,6 +343,8 @@ struct Worker {
     quit: Arc<AtomicBool>,
     rounds: Arc<AtomicU64>,
     outputs: HashMap<Output, OutputPreview>,
+    /// The outputs and the tick that were compared last.
+    compared: Option<(ComparisonRequest, u64)>,
     generation: u64,
     window: Window,
     start: Instant,
@@ -357,10 +378,10 @@ impl Worker {
             return false;
         }
         let generation = self.handle.status().generation;
-        let (requests, probes, interval) = {
+        let (requests, probes, compared, interval) = {
             let mailbox = lock(&self.mailbox);
             let interval = mailbox.interval.unwrap_or(THUMBNAIL_INTERVAL);
-            (mailbox.requests.clone(), mailbox.probe_requests.clone(), interval)
+            (mailbox.requests.clone(), mailbox.probe_requests.clone(), mailbox.compared.clone(), interval)
         };
         // A node that was removed and added again needs a new subscription.
         if generation != self.generation {
@@ -385,7 +406,8 @@ impl Worker {
             }
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             let asked = probes.get(&output);
-            let render = view.render(&request, asked.is_some());
+            let is_compared = compared.as_ref().is_some_and(|pair| [&pair.output, &pair.other].contains(&&output));
+            let render = view.render(&request, asked.is_some() || is_compared);
             if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
                 lock(&self.mailbox).probes.insert(output.clone(), probe);
                 changed = true;
@@ -399,7 +421,23 @@ impl Worker {
                 changed = true;
             }
         }
-        changed
+        changed | compared.is_some_and(|pair| self.compare(pair))
+    }
+
+    /// Compares two outputs, where their newest packets are of one tick; returns whether there is something new.
+    fn compare(&mut self, pair: ComparisonRequest) -> bool {
+        let newest = |output: &Output| Some(&self.outputs.get(output)?.probed.as_ref()?.0);
+        let (Some(a), Some(b)) = (newest(&pair.output), newest(&pair.other)) else { return false };
+        let (tick, other) = (a.frame().tick, b.frame().tick);
+        let seq = tick.seq;
+        let is_known = self.compared.as_ref().is_some_and(|(known, at)| (known, *at) == (&pair, seq));
+        if (tick.source, seq) != (other.source, other.seq) || is_known {
+            return false;
+        }
+        let measures = comparing::compare((a.frame(), a.bytes()), (b.frame(), b.bytes()), &pair.packet);
+        lock(&self.mailbox).comparison = Some(Comparison { seq, measures });
+        self.compared = Some((pair, seq));
+        true
     }
 
     /// Counters of the last window of time; `None` while nothing runs.

@@ -76,7 +76,7 @@ pub struct Profile {
 
 /// How the values of a picture are stored.
 #[derive(Clone, Copy)]
-struct Layout<'f> {
+pub(crate) struct Layout<'f> {
     bytes: &'f [u8],
     width: usize,
     height: usize,
@@ -89,7 +89,7 @@ struct Layout<'f> {
 
 impl<'f> Layout<'f> {
     /// `None` for what is not a picture, and where the description does not fit the bytes.
-    fn of(frame: &abi::Frame, bytes: &'f [u8], packet: &str) -> Option<Self> {
+    pub(crate) fn of(frame: &abi::Frame, bytes: &'f [u8], packet: &str) -> Option<Self> {
         let (channels, unit): (&'static [&'static str], _) = match (frame.format, packet) {
             (abi::FORMAT_GRAY8 | abi::FORMAT_GRAY16, _) => (&["value"], ""),
             (abi::FORMAT_BGR8 | abi::FORMAT_RGBA8, _) => (&["red", "green", "blue"], ""),
@@ -104,6 +104,33 @@ impl<'f> Layout<'f> {
         let need = format::image_bytes(width, height, stride, pixel);
         let fits = pixel > 0 && width > 0 && height > 0 && need.is_some_and(|need| need <= bytes.len());
         fits.then_some(Self { bytes, width, height, stride, pixel, format: frame.format, channels, unit })
+    }
+
+    /// Width and height, px.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// All values of the first channel, row after row.
+    pub(crate) fn first_channel(&self) -> Vec<f32> {
+        self.each(|x, y| self.value(x, y, 0))
+    }
+
+    /// Luma of all pixels, 0..=255, row after row; `None` for what is no image of light.
+    pub(crate) fn luma(&self) -> Option<Vec<f32>> {
+        match self.format {
+            abi::FORMAT_GRAY8 => Some(self.first_channel()),
+            abi::FORMAT_GRAY16 => Some(self.each(|x, y| self.value(x, y, 0) / 257.0)),
+            abi::FORMAT_BGR8 | abi::FORMAT_RGBA8 => {
+                let weights = [0.299, 0.587, 0.114];
+                Some(self.each(|x, y| (0..3).map(|channel| weights[channel] * self.value(x, y, channel)).sum()))
+            }
+            _ => None,
+        }
+    }
+
+    fn each(&self, value: impl Fn(usize, usize) -> f32) -> Vec<f32> {
+        (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y))).map(|(x, y)| value(x, y)).collect()
     }
 
     /// The value of a channel. A coordinate outside is that of the nearest edge.

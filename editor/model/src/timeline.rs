@@ -12,6 +12,8 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_engine::sync::lock;
 use panoscope_record::{Recording, RecordingError};
 
+use crate::comparing::{self, Comparison, ComparisonRequest};
+use crate::computing::{Computation, Request};
 use crate::observe::{Output, PreviewRequest};
 use crate::picture::{self, Range, RenderedPacket};
 use crate::probe::{self, Probe, ProbeRequest};
@@ -53,16 +55,37 @@ struct State {
     previews: HashMap<Output, RenderedPacket>,
     probe_requests: HashMap<Output, ProbeRequest>,
     probes: HashMap<Output, Probe>,
+    compared: Option<ComparisonRequest>,
+    comparison: Option<Comparison>,
     problem: Option<String>,
     second: Option<Arc<Recording>>,
+    /// What was computed from the recorded sources.
+    computed: Option<Arc<Recording>>,
     /// Incremented when everything is to be rendered again.
     generation: u64,
     quit: bool,
 }
 
+/// What there is of an output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Held {
+    /// It is in the recording.
+    Recorded,
+    /// It was computed from the recorded sources.
+    Computed,
+    /// It is being computed: %.
+    Computing(u8),
+    /// Nothing.
+    Lacking,
+}
+
 /// An opened recording.
 pub struct Timeline {
     path: PathBuf,
+    recording: Arc<Recording>,
+    wake: Arc<Wake>,
+    /// The outputs that the recording lacks.
+    computation: Option<Computation>,
     second_path: Option<PathBuf>,
     /// Capture times of all ticks, s from the first one, without repetitions.
     ticks_s: Vec<f64>,
@@ -110,15 +133,18 @@ impl Timeline {
         let state = Arc::new(Mutex::new(State::default()));
         let ports = recording.ports.keys().cloned().collect();
         let player = Player {
-            recording,
+            recording: Arc::clone(&recording),
             start_ns,
             state: Arc::clone(&state),
             rendered: HashMap::new(),
             probed: HashMap::new(),
-            wake,
+            compared: None,
+            wake: Arc::clone(&wake),
         };
         let thread = std::thread::Builder::new().name("timeline".to_owned()).spawn(move || player.run())?;
-        Ok(Self { path: path.to_owned(), second_path: None, ticks_s, ports, state, thread: Some(thread) })
+        let path = path.to_owned();
+        let (second_path, computation, thread) = (None, None, Some(thread));
+        Ok(Self { path, recording, wake, computation, second_path, ticks_s, ports, state, thread })
     }
 
     /// Puts a second recording beside it, whose first tick is at the first tick of this one; `None` takes it away.
@@ -154,6 +180,48 @@ impl Timeline {
     pub fn has(&self, output: &Output) -> bool {
         let port = output.to_string();
         self.ports.contains(&port)
+    }
+
+    /// What there is of an output.
+    pub fn held(&self, output: &Output) -> Held {
+        let computed =
+            || lock(&self.state).computed.as_ref().map(|computed| computed.ports.contains_key(&output.to_string()));
+        match self.computation.as_ref() {
+            _ if self.has(output) => Held::Recorded,
+            Some(_) if computed() == Some(true) => Held::Computed,
+            Some(computation) => computation.percent().map_or(Held::Lacking, Held::Computing),
+            None => Held::Lacking,
+        }
+    }
+
+    /// Computes the outputs that the recording lacks, with a graph of the same sources.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn compute(&mut self, request: Request) -> Result<(), TimelineError> {
+        // The one before ends first.
+        self.computation = None;
+        lock(&self.state).computed = None;
+        let wake = Arc::clone(&self.wake);
+        self.computation = Some(Computation::start(Arc::clone(&self.recording), request, move || wake())?);
+        Ok(())
+    }
+
+    /// The computation of what the recording lacks.
+    pub fn computation(&self) -> Option<&Computation> {
+        self.computation.as_ref()
+    }
+
+    /// Shows what has been computed meanwhile.
+    pub fn follow_computation(&self) {
+        let Some(recording) = self.computation.as_ref().and_then(Computation::recording) else { return };
+        let mut state = lock(&self.state);
+        if state.computed.is_none() {
+            state.computed = Some(recording);
+            state.generation += 1;
+            drop(state);
+            self.wake_player();
+        }
     }
 
     /// Time from the first to the last tick, s.
@@ -254,6 +322,21 @@ impl Timeline {
         lock(&self.state).probes.clone()
     }
 
+    /// Sets which outputs are compared in numbers.
+    pub fn compare(&self, request: Option<ComparisonRequest>) {
+        let mut state = lock(&self.state);
+        if state.compared != request {
+            (state.compared, state.comparison) = (request, None);
+            drop(state);
+            self.wake_player();
+        }
+    }
+
+    /// How the shown packets of the compared outputs differ.
+    pub fn comparison(&self) -> Option<Comparison> {
+        lock(&self.state).comparison
+    }
+
     /// Takes the pictures rendered since the last call.
     pub fn take(&self) -> HashMap<Output, RenderedPacket> {
         std::mem::take(&mut lock(&self.state).previews)
@@ -282,6 +365,8 @@ struct Player {
     state: Arc<Mutex<State>>,
     rendered: HashMap<Output, Rendered>,
     probed: HashMap<Output, Probed>,
+    /// What was compared last: outputs, generation, positions in their ports.
+    compared: Option<(ComparisonRequest, u64, [Option<usize>; 2])>,
     wake: Arc<Wake>,
 }
 
@@ -291,7 +376,7 @@ impl Player {
         loop {
             let elapsed_s = last.elapsed().as_secs_f64();
             last = Instant::now();
-            let (at_s, plays, requests, asked, second, generation) = {
+            let (at_s, plays, requests, asked, others, generation) = {
                 let mut state = lock(&self.state);
                 if state.quit {
                     return;
@@ -299,15 +384,17 @@ impl Player {
                 advance(&mut state.position, elapsed_s, self.length_s());
                 let Position { at_s, plays, .. } = state.position;
                 let asked = state.probe_requests.clone();
-                (at_s, plays, state.requests.clone(), asked, state.second.clone(), state.generation)
+                let others = Others { second: state.second.clone(), computed: state.computed.clone() };
+                (at_s, plays, state.requests.clone(), asked, others, state.generation)
             };
             self.rendered.retain(|output, _| requests.contains_key(output));
             self.probed.retain(|output, _| asked.contains_key(output));
             let mut changed = plays;
             for (output, request) in requests {
                 let asked = asked.get(&output).copied();
-                changed |= self.render(&output, (request, asked), at_s, second.as_deref(), generation);
+                changed |= self.render(&output, (request, asked), at_s, &others, generation);
             }
+            changed |= self.compare(at_s, &others, generation);
             if changed {
                 (self.wake)();
             }
@@ -327,20 +414,44 @@ impl Player {
     }
 
     /// The packets of an output, in its recording, and the position of the newest one at a moment.
-    fn packets<'r>(&'r self, output: &Output, at_s: f64, second: Option<&'r Recording>) -> Option<Shown<'r>> {
-        let (recording, start_ns, node) = match output.node.strip_prefix(SECOND) {
-            None => (&*self.recording, self.start_ns, output.node.as_str()),
+    fn packets<'r>(&'r self, output: &Output, at_s: f64, others: &'r Others) -> Option<Shown<'r>> {
+        let (recording, start_ns, port) = match output.node.strip_prefix(SECOND) {
+            None => {
+                let port = output.to_string();
+                // A computed output has the capture times of the recorded sources.
+                let computed = others.computed.as_deref().filter(|_| !self.recording.ports.contains_key(&port));
+                (computed.unwrap_or(&self.recording), self.start_ns, port)
+            }
             Some(node) => {
-                let second = second?;
-                (second, start_of(second).unwrap_or(0), node)
+                let second = others.second.as_deref()?;
+                (second, start_of(second).unwrap_or(0), format!("{node}.{}", output.port))
             }
         };
-        let port = format!("{node}.{}", output.port);
         let packets = recording.ports.get(&port)?;
         let until_ns = start_ns.saturating_add((at_s * 1e9).round() as i64);
         // Ticks of a port are in order.
         let passed = packets.partition_point(|packet| packet.head.tick.capture_ns <= until_ns);
         Some(Shown { recording, port, at: passed.checked_sub(1) })
+    }
+
+    /// Compares two outputs as they were at a moment, as far as that is not done already; returns whether there is something new.
+    fn compare(&mut self, at_s: f64, others: &Others, generation: u64) -> bool {
+        let Some(pair) = lock(&self.state).compared.clone() else { return false };
+        let shown = |output| self.packets(output, at_s, others);
+        let (Some(a), Some(b)) = (shown(&pair.output), shown(&pair.other)) else { return false };
+        let question = (pair.clone(), generation, [a.at, b.at]);
+        if self.compared.as_ref() == Some(&question) {
+            return false;
+        }
+        let (Some(Ok(a)), Some(Ok(b))) = (a.frame(), b.frame()) else { return false };
+        let measures = comparing::compare((a.frame(), a.bytes()), (b.frame(), b.bytes()), &pair.packet);
+        self.compared = Some(question);
+        let mut state = lock(&self.state);
+        // Meanwhile another pair may be asked for.
+        if state.compared.as_ref() == Some(&pair) {
+            state.comparison = Some(Comparison { seq: a.frame().tick.seq, measures });
+        }
+        true
     }
 
     /// Renders an output as it was at a moment and reads its values, as far as that is not done already; returns whether there is something new.
@@ -349,10 +460,10 @@ impl Player {
         output: &Output,
         (request, asked): (PreviewRequest, Option<ProbeRequest>),
         at_s: f64,
-        second: Option<&Recording>,
+        others: &Others,
         generation: u64,
     ) -> bool {
-        let Some(shown) = self.packets(output, at_s, second) else { return false };
+        let Some(shown) = self.packets(output, at_s, others) else { return false };
         let at = shown.at;
         let known = self.rendered.get(output);
         let renders = known.is_none_or(|(g, n, r, _)| (*g, *n, r) != (generation, at, &request));
@@ -384,6 +495,14 @@ impl Player {
         self.rendered.insert(output.clone(), (generation, at, request, range));
         is_new
     }
+}
+
+/// Recordings beside the one that is shown.
+struct Others {
+    /// The second one, to compare with.
+    second: Option<Arc<Recording>>,
+    /// What was computed from the recorded sources.
+    computed: Option<Arc<Recording>>,
 }
 
 /// What an output shows at a moment.

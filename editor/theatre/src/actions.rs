@@ -44,6 +44,8 @@ pub enum Action {
     ThreeD,
     /// Speak the next language.
     Language,
+    /// End the theatre, held for two seconds.
+    End,
 }
 
 /// Actions with their keys; the first key is shown.
@@ -159,6 +161,8 @@ impl Theatre {
                 set_language(language().next());
                 self.notify(text!("language-is"), false);
             }
+            // Only holding it ends the theatre.
+            Action::End => {}
         }
         if matches!(action, Action::Next | Action::Previous | Action::One(_)) {
             self.zoom = Zoom::default();

@@ -1,8 +1,8 @@
 //! The emergency stop of a robot arm in the graph: one tap stops it, holding releases it.
 
 use eframe::egui::{
-    Color32, Context, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2,
-    vec2,
+    Color32, Context, InputState, Key, Painter, Pos2, Rect, Response, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo,
+    WidgetType, pos2, vec2,
 };
 use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
@@ -75,7 +75,9 @@ impl Theatre {
         let response = ui.interact(rect, ui.id().with("stop"), Sense::click_and_drag());
         let label = if self.emergency { text!("stop-arm.release") } else { text!("stop-arm.name") };
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label));
-        let held = response.is_pointer_button_down_on();
+        let held = is_pressed(&response);
+        // The press that has released the arm does not stop it again.
+        self.has_released &= held;
         if response.has_focus() {
             focus_frame(ui, rect);
         }
@@ -84,7 +86,7 @@ impl Theatre {
         painter.rect(rect, 12.0, fill, Stroke::new(3.0, Color32::WHITE), StrokeKind::Inside);
         if !self.emergency {
             // On press, not on release, so that nothing delays the stop.
-            if held || response.clicked() {
+            if (held || response.clicked()) && !self.has_released {
                 self.emergency_stop(true);
                 self.releasing = None;
             }
@@ -95,6 +97,7 @@ impl Theatre {
                 self.releasing = Some(time::now());
             }
             self.release(ui.ctx(), held || by_key);
+            self.has_released = !self.emergency && held;
             let share = self.releasing.map_or(0.0, |s| time::since(s).as_secs_f32() / HOLD.as_secs_f32());
             let done = Rect::from_min_size(rect.min, vec2(rect.width() * share.min(1.0), rect.height())).shrink(6.0);
             painter.rect_filled(done, 8.0, STOP_RED.gamma_multiply(0.6));
@@ -121,6 +124,14 @@ impl Theatre {
             put(pos2(left + width * 0.52, y), &below, 14.0, width * 0.48, pale);
         }
     }
+}
+
+/// Whether a pointer or a finger is held on a widget. egui ends the press of a finger that stays for a while, because it takes that for a click.
+pub(super) fn is_pressed(response: &Response) -> bool {
+    let on = |at: Option<Pos2>| at.is_some_and(|at| response.rect.contains(at));
+    let is_held =
+        |i: &InputState| i.pointer.primary_down() && on(i.pointer.press_origin()) && on(i.pointer.latest_pos());
+    response.is_pointer_button_down_on() || response.ctx.input(is_held)
 }
 
 /// Draws a stop sign.

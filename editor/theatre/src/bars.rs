@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use eframe::egui::text::{LayoutJob, TextWrapping};
 use eframe::egui::{
-    Align2, Color32, CornerRadius, FontId, Galley, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui,
+    Align2, Color32, CornerRadius, FontId, Galley, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui,
     WidgetInfo, WidgetType, pos2, vec2,
 };
 
 use super::alarms::Urgency;
-use super::arm::STOP_RED;
+use super::arm::{STOP_RED, is_pressed};
 use super::notices::{Facts, OLD_MS};
 use super::{Action, EDGE, HOLD, Outage, OutageStage, REMARK, Theatre, key_name, settings, time};
 use panoscope_editor_model::session::{Phase, Status};
@@ -35,6 +35,8 @@ const MIN_HEADLINE: f32 = 26.0;
 /// Size of the letters of what stands below it.
 const DETAIL: f32 = 20.0;
 const MIN_DETAIL: f32 = 14.0;
+/// Side of the button that ends the theatre.
+const END: f32 = 48.0;
 /// Width of the button for the next page of settings.
 const MORE: f32 = 84.0;
 
@@ -112,7 +114,7 @@ impl Theatre {
 
     pub(super) fn top_bar(&mut self, ui: &mut Ui, bar: Rect, status: &Status, facts: &Facts) {
         let inner = bar.shrink2(vec2(EDGE, 10.0));
-        let mut right = inner.right();
+        let mut right = self.end_button(ui, pos2(inner.right(), inner.top() + ROW / 2.0)).left() - 14.0;
         // Beside the most urgent notice: what is below it needs the whole width.
         let middle = inner.top() + ROW / 2.0;
         for chip in self.chips(status, facts) {
@@ -199,6 +201,23 @@ impl Theatre {
             galley = with_action;
         }
         painter.galley(pos2(left, below.center().y - galley.size().y / 2.0), galley, color);
+    }
+
+    /// The button that ends the theatre when it is held, for touch. `right` is the middle of its right edge; returns its rectangle.
+    fn end_button(&mut self, ui: &mut Ui, right: Pos2) -> Rect {
+        let rect = Rect::from_min_size(pos2(right.x - END, right.y - END / 2.0), vec2(END, END));
+        let response = ui.interact(rect, ui.id().with("end"), Sense::click_and_drag());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("leave-name")));
+        let by_key = response.has_focus() && ui.input(|i| i.key_down(Key::Space) || i.key_down(Key::Enter));
+        self.end_held = is_pressed(&response) || by_key;
+        let edge = if response.has_focus() { theme::accent() } else { Color32::TRANSPARENT };
+        let painter = ui.painter();
+        painter.rect(rect, 8.0, theme::raised(), Stroke::new(2.0, edge), StrokeKind::Inside);
+        let (c, arm) = (rect.center(), END * 0.18);
+        for across in [vec2(arm, arm), vec2(arm, -arm)] {
+            painter.line_segment([c - across, c + across], Stroke::new(3.0, theme::muted()));
+        }
+        rect
     }
 
     pub(super) fn bottom_bar(&mut self, ui: &mut Ui, bar: Rect) {

@@ -48,7 +48,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
+use eframe::egui::{self, Context, InputState, Key, Rect, Ui, pos2, vec2};
 use panoscope_editor_model::texts::text;
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{GraphOptions, ParamValue};
@@ -157,6 +157,10 @@ pub struct Theatre {
     remark: Option<(String, bool, Instant)>,
     /// Since when Esc is held.
     leaving: Option<Instant>,
+    /// Whether the press that released the arm still lasts.
+    has_released: bool,
+    /// Whether the button that ends the theatre was held in the last frame.
+    end_held: bool,
     /// Since when the stop is held to release the arm.
     releasing: Option<Instant>,
     verified: Verified,
@@ -264,6 +268,8 @@ impl Theatre {
             notices: Vec::new(),
             remark: None,
             leaving: None,
+            has_released: false,
+            end_held: false,
             releasing: None,
             verified: opened.verified,
             audit,
@@ -520,9 +526,10 @@ impl Theatre {
         self.keep();
     }
 
-    /// Handles Esc: a short press ends measuring, holding it for two seconds closes the window.
+    /// Handles Esc, a pedal's key and the button for touch: a short press ends measuring, holding it for two seconds closes the window.
     fn leave(&mut self, ctx: &Context) {
-        let down = ctx.input(|i| i.key_down(Key::Escape));
+        let by_key = |i: &InputState| i.key_down(Key::Escape) || actions::is_held(i, Action::End, &self.pedal.keys);
+        let down = std::mem::take(&mut self.end_held) || ctx.input(by_key);
         if !down {
             if self.leaving.take().is_some_and(|since| time::since(since) < HOLD / 4) && self.measure.is_on() {
                 self.toggle_measuring();

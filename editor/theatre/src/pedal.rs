@@ -42,6 +42,7 @@ pub const NAMES: &[(&str, Action)] = &[
     ("view4", Action::One(3)),
     ("view5", Action::One(4)),
     ("view6", Action::One(5)),
+    ("end", Action::End),
 ];
 
 /// The keys of a pedal without a file.

@@ -17,6 +17,7 @@ mod records;
 mod screen;
 mod stale;
 mod theatre;
+mod touch;
 mod trust;
 #[path = "../../../tests/support/video.rs"]
 mod video;

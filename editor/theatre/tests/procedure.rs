@@ -1,5 +1,5 @@
 //! A whole procedure with the keyboard alone: start, checklist, views, a distance, a still, a clip, the arm stopped and released, a fault and the
-//! recovery from it, the end. In each language.
+//! recovery from it, the end. In each language. The same again by pedal and touch.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -15,7 +15,7 @@ use panoscope_host::loader::{self as loader, Loader};
 use panoscope_theatre::{Check, Layout, State, Theatre};
 
 /// Stereo cameras on a box that stands still, its surface, an arm, and a stage that fails at the request of a setting.
-const GRAPH: &str = r#"name = "procedure"
+pub const GRAPH: &str = r#"name = "procedure"
 plugins = ["phantom", "stereo", "flow", "fixtures", "sinks"]
 [nodes.scope]
 type = "phantom"

@@ -1,6 +1,8 @@
 //! `capture`: synchronised views of cameras, files and pipelines.
 
-use std::path::Path;
+mod holding;
+mod resuming;
+
 use std::time::Duration;
 
 use panoscope_data::bit_depth::{Deep, Remark, White};
@@ -13,12 +15,15 @@ use panoscope_node::{
 use crate::crop::{self, Halves};
 use crate::kept_frames::KeptFrames;
 use crate::pairing::Grabbed;
-use crate::position::{Position, ViewPosition};
+use crate::playing::Steps;
+use crate::position::Position;
 use crate::settings::{MAX_VIEWS, OnDamage, Pace, Settings};
 use crate::source::{Clock, Demands, Lock, SourceName, Stream};
 use crate::timing::{Time, Timing};
 use crate::views::{View, Views, pair_by_numbers, same_files};
 
+/// Metric with the index of the shown frame of a file, from 0.
+const FRAME: &str = "frame";
 /// Rate of image files, which have no timestamps, Hz.
 const IMAGE_FPS: f64 = 30.0;
 /// Names of the views in messages, by their number.
@@ -66,6 +71,7 @@ pub struct Capture {
     /// Number of ticks since this instance was opened.
     since_open: u64,
     timing: Timing,
+    steps: Steps,
     /// Arrival of the tick's oldest live frame by the host's clock, ns.
     arrived_ns: Option<i64>,
     has_ended: bool,
@@ -80,11 +86,17 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Grabs all views. Returns `None` for an empty tick.
+    /// Grabs all views, played at `speed`. Returns `None` for an empty tick, and at the end of paused files.
     ///
     /// # Errors
     /// A view ended too early; in batch mode also: a device is gone.
-    fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings) -> Result<Option<()>> {
+    fn grab(
+        &mut self,
+        cx: &Context<'_>,
+        clock: Clock<'_>,
+        params: &Settings,
+        (speed, is_paused): (f64, bool),
+    ) -> Result<Option<()>> {
         let mut grabbed = self.views.grab(cx, clock, self.lost.is_some());
         if grabbed == Grabbed::End {
             if let Some(words) = self.views.left_over() {
@@ -92,8 +104,7 @@ impl Capture {
             }
             // Without any tick so far, starting again would end again.
             if params.r#loop && self.frame > 0 {
-                let last_s = self.timing.capture_ns.max(0) as f64 / 1e9;
-                self.views.rewind(last_s)?;
+                self.views.rewind(self.timing.media_s())?;
                 grabbed = self.views.grab(cx, clock, self.lost.is_some());
             }
         }
@@ -104,6 +115,7 @@ impl Capture {
                     cx.info("all sources are available again");
                 }
             }
+            Grabbed::End if is_paused => return Ok(None),
             Grabbed::End => {
                 self.end(cx);
                 return Ok(None);
@@ -113,7 +125,7 @@ impl Capture {
             Grabbed::Lost(words) => {
                 self.report_loss(cx, &words);
                 if !self.views.iter().any(|view| view.is_there) {
-                    self.set_time(cx, clock);
+                    self.set_time(cx, clock, speed);
                     self.frame += 1;
                     return Ok(None);
                 }
@@ -169,7 +181,7 @@ impl Capture {
     }
 
     /// Sets the tick's capture time: from the file, or from the clock for devices.
-    fn set_time(&mut self, cx: &Context<'_>, clock: Clock<'_>) {
+    fn set_time(&mut self, cx: &Context<'_>, clock: Clock<'_>, speed: f64) {
         // Both clocks count at one rate from different starts.
         self.arrived_ns = self.views.arrived_ns().map(|arrived_ns| clock() - (monotonic_ns() - arrived_ns));
         let time = match self.views.media_s() {
@@ -177,21 +189,21 @@ impl Capture {
             None if self.views.has_device() => Time::Device(self.arrived_ns),
             None => Time::Rate(self.frame, self.views.rate_hz()),
         };
-        cx.set_capture_ns(self.timing.advance(time, clock));
+        cx.set_capture_ns(self.timing.advance(time, speed, clock));
         if let Some(arrived_ns) = self.arrived_ns {
             cx.set_arrived_ns(arrived_ns);
         }
     }
 
     /// Waits until the frame is due.
-    fn wait(&mut self, cx: &Context<'_>, clock: Clock<'_>, pace: Pace) {
+    fn wait(&mut self, cx: &Context<'_>, clock: Clock<'_>, pace: Pace, period_s: f64) {
         let is_paced = match pace {
             Pace::Auto => !cx.is_batch(),
             Pace::On => true,
             Pace::Off => false,
         };
         if is_paced && !self.views.has_device() {
-            self.timing.wait(Duration::from_secs_f64(1.0 / self.views.rate_hz()), clock);
+            self.timing.wait(Duration::from_secs_f64(period_s), clock);
         } else {
             self.timing.reset_pace();
         }
@@ -322,6 +334,7 @@ impl Capture {
             frame: 0,
             since_open: 0,
             timing: Timing::default(),
+            steps: Steps::default(),
             arrived_ns: None,
             has_ended: false,
             lost: None,
@@ -348,18 +361,36 @@ impl Capture {
             return Err(NodeError::new("this host has no clock: `capture` needs a newer Panoscope"));
         };
         let clock = || cx.clock_ns().unwrap_or(first_ns);
-        if self.grab(cx, &clock, params)?.is_none() {
-            return Ok(None);
+        // Cameras set their own pace, and a still image has none.
+        let plays_file = !self.views.has_device() && !self.views.are_stills();
+        let speed = if plays_file && !cx.is_batch() { params.playing.speed } else { 1.0 };
+        let is_paused = plays_file && !cx.is_batch() && params.playing.paused;
+        if self.steps.holds(cx, &params.playing) && plays_file && self.since_open > 0 {
+            return self.hold(cx, &clock, params);
         }
-        self.set_time(cx, &clock);
-        self.wait(cx, &clock, params.pace);
+        if self.grab(cx, &clock, params, (speed, is_paused))?.is_none() {
+            return if is_paused { self.hold(cx, &clock, params) } else { Ok(None) };
+        }
+        self.set_time(cx, &clock, speed);
+        self.wait(cx, &clock, params.pace, 1.0 / (self.views.rate_hz() * speed));
         self.frame += 1;
         self.since_open += 1;
+        if plays_file {
+            cx.metric(FRAME, self.picture_index() as f64);
+        }
         self.lock(cx, params);
         if !self.decode(cx, params)? {
             return Ok(None);
         }
         self.find_white(cx, params.bit_depth)?;
+        self.parts(cx, &clock, params).map(Some)
+    }
+
+    /// The region of the newest frame that each view shows.
+    ///
+    /// # Errors
+    /// A crop does not fit a frame.
+    fn parts(&mut self, cx: &Context<'_>, clock: Clock<'_>, params: &Settings) -> Result<Vec<Part>> {
         let views = if self.halves.is_some() { 2 } else { self.views.len() };
         let mut parts = Vec::with_capacity(MAX_VIEWS);
         for view in 0..views {
@@ -388,7 +419,7 @@ impl Capture {
         if let Some(arrived_ns) = self.arrived_ns {
             cx.metric("latency_ms", (clock() - arrived_ns) as f64 * 1e-6);
         }
-        Ok(Some(parts))
+        Ok(parts)
     }
 
     /// Index of the newest frame of view 0 in its source, from 0.
@@ -550,32 +581,14 @@ impl Node for Capture {
     }
 
     fn save_state(&self) -> Option<Vec<u8>> {
-        let views = self.views.locked().iter().map(|view| {
-            let view = view.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            ViewPosition {
-                text: view.text.clone(),
-                grabbed: view.source.grabbed(),
-                next_file: view.source.next_file().map(Path::to_owned),
-            }
-        });
-        let (frame, capture_ns, round_s) = (self.frame, self.timing.capture_ns, self.views.round_s);
-        Some(Position { frame, capture_ns, round_s, views: views.collect() }.to_bytes())
+        Some(self.position().to_bytes())
     }
 
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
         let Some(position) = Position::from_bytes(state) else {
             return Err(NodeError::new("the saved position is malformed"));
         };
-        let texts: Vec<String> = self.views.iter().map(|view| view.text.clone()).collect();
-        // Other sources start at their beginning.
-        if !texts.iter().eq(position.views.iter().map(|view| &view.text)) {
-            return Ok(());
-        }
-        (self.frame, self.timing.capture_ns, self.views.round_s) =
-            (position.frame, position.capture_ns, position.round_s);
-        for (view, position) in self.views.iter().zip(&position.views) {
-            view.source.go_to(position.grabbed, position.next_file.as_deref());
-        }
+        self.resume(&position);
         Ok(())
     }
 }

@@ -13,6 +13,7 @@ use panoscope_node::{
 
 use crate::boxes::Boxes;
 use crate::capture::{Capture, Part};
+use crate::playing::Playing;
 use crate::settings::{OnDamage, Pace, Settings, Split};
 use crate::source::SourceName;
 use truth::TruthMaps;
@@ -62,6 +63,9 @@ pub struct DataSetParams {
     /// How a damaged image is handled.
     #[param(default = "fail")]
     on_damage: OnDamage,
+    /// How the pictures are played.
+    #[param(flatten)]
+    playing: Playing,
 }
 
 /// The `data_set` node.
@@ -201,6 +205,7 @@ impl Node for DataSet {
 
     fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &DataSetParams) -> Result<()> {
         (self.settings.pace, self.settings.on_damage) = (params.pace, params.on_damage);
+        self.settings.playing = params.playing;
         let Some(parts) = self.capture.take(cx, &self.settings)? else { return Ok(()) };
         let picture = usize::try_from(self.capture.picture_index()).unwrap_or(usize::MAX);
         let needs_calibration = out.calibration.is_read() || out.disparity.is_read() || out.depth.is_read();

@@ -9,6 +9,7 @@ mod exchanged;
 mod kept_frames;
 mod live;
 mod pairing;
+mod playing;
 mod position;
 pub mod read_labels;
 pub mod read_maps;

@@ -3,7 +3,9 @@
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::PathBuf;
 
-const MAGIC: &[u8; 8] = b"capture1";
+use crate::timing::Played;
+
+const MAGIC: &[u8; 8] = b"capture2";
 
 /// Position of one view.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,6 +25,8 @@ pub struct Position {
     pub frame: u64,
     /// Capture time of the newest tick; -1 before the first.
     pub capture_ns: i64,
+    /// How media time became capture time.
+    pub played: Played,
     /// Media time at which the present round of a loop began, in s.
     pub round_s: f64,
     /// One position per view.
@@ -44,6 +48,10 @@ impl<'b> Reader<'b> {
         Some(*word)
     }
 
+    fn number(&mut self) -> Option<f64> {
+        self.word().map(f64::from_le_bytes)
+    }
+
     fn text(&mut self) -> Option<&'b [u8]> {
         let (length, rest) = self.0.split_first_chunk()?;
         let (text, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
@@ -58,6 +66,10 @@ impl Position {
         let mut bytes = MAGIC.to_vec();
         bytes.extend(self.frame.to_le_bytes());
         bytes.extend(self.capture_ns.to_le_bytes());
+        let Played { media_ns, from_media_ns, from_capture_ns, speed } = self.played;
+        for number in [media_ns, from_media_ns, from_capture_ns, speed] {
+            bytes.extend(number.to_le_bytes());
+        }
         bytes.extend(self.round_s.to_le_bytes());
         for view in &self.views {
             put(&mut bytes, view.text.as_bytes());
@@ -76,6 +88,12 @@ impl Position {
         let mut position = Self {
             frame: u64::from_le_bytes(rest.word()?),
             capture_ns: i64::from_le_bytes(rest.word()?),
+            played: Played {
+                media_ns: rest.number()?,
+                from_media_ns: rest.number()?,
+                from_capture_ns: rest.number()?,
+                speed: rest.number()?,
+            },
             round_s: f64::from_le_bytes(rest.word()?),
             views: Vec::new(),
         };
@@ -102,7 +120,8 @@ mod tests {
             next_file: file.map(PathBuf::from),
         };
         let views = vec![view("l/*.png", Some("/l/8.png")), view("r.mkv", None)];
-        let position = Position { frame: 9, capture_ns: -1, round_s: 1.5, views };
+        let played = Played { media_ns: 4e9, from_media_ns: 3e9, from_capture_ns: 2e9, speed: 0.5 };
+        let position = Position { frame: 9, capture_ns: -1, played, round_s: 1.5, views };
         let bytes = position.to_bytes();
         assert_eq!(Position::from_bytes(&bytes), Some(position));
         for length in [0, 7, 20, 33, bytes.len() - 1] {

@@ -8,6 +8,7 @@ use panoscope_node::{Choice, NodeError, Params, Rect, Result, Validation};
 
 use crate::crop::{self, Halves};
 use crate::exchanged::{FileView, exchanged};
+use crate::playing::Playing;
 use crate::source::{CaptureError, SourceName, unknown_element};
 use crate::views::pair_by_numbers;
 
@@ -130,6 +131,9 @@ pub struct Settings {
     /// EndoVis; the two files of ROS (left; right), of OpenCV's sample or of Hamlyn (intrinsics; extrinsics) are separated by a semicolon.
     #[param(default = "", reopen, file)]
     pub calibration: String,
+    /// How files are played.
+    #[param(flatten)]
+    pub playing: Playing,
 }
 
 /// Why the parameters do not name a valid set of sources.
@@ -194,6 +198,7 @@ impl Settings {
             timeout_s: TIMEOUT_S,
             open_limit_s: OPEN_LIMIT_S,
             calibration: none(),
+            playing: Playing::default(),
         }
     }
 

@@ -16,11 +16,31 @@ pub struct Timing {
     pace_from: Option<(i64, i64)>,
     /// The same for devices, whose capture time is the host's.
     device_from: Option<(i64, i64)>,
+    /// How media time becomes capture time.
+    pub played: Played,
 }
 
 impl Default for Timing {
     fn default() -> Self {
-        Self { capture_ns: -1, pace_from: None, device_from: None }
+        Self { capture_ns: -1, pace_from: None, device_from: None, played: Played::default() }
+    }
+}
+
+/// How the media time of a file becomes capture time: equal to it until the file is held or played at another speed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Played {
+    /// Media time of the newest frame, ns.
+    pub media_ns: f64,
+    /// Media time and capture time of one moment, from which `speed` counts, ns.
+    pub from_media_ns: f64,
+    pub from_capture_ns: f64,
+    /// Media time per capture time.
+    pub speed: f64,
+}
+
+impl Default for Played {
+    fn default() -> Self {
+        Self { media_ns: 0.0, from_media_ns: 0.0, from_capture_ns: 0.0, speed: 1.0 }
     }
 }
 
@@ -36,19 +56,47 @@ pub enum Time {
 }
 
 impl Timing {
-    /// Computes the capture time of a tick, always later than the previous one.
-    pub fn advance(&mut self, time: Time, clock: Clock<'_>) -> i64 {
+    /// Computes the capture time of a tick, always later than the previous one. `speed`: of files.
+    pub fn advance(&mut self, time: Time, speed: f64, clock: Clock<'_>) -> i64 {
         let next_ns = match time {
-            Time::Media(media_s) => (media_s * 1e9).round() as i64,
+            Time::Media(media_s) => self.shown_at(media_s * 1e9, speed),
             Time::Device(arrived_ns) => {
                 let now_ns = arrived_ns.unwrap_or_else(clock);
                 let (start_ns, first_ns) = *self.device_from.get_or_insert((now_ns, self.capture_ns + 1));
                 first_ns + now_ns.saturating_sub(start_ns)
             }
-            Time::Rate(tick, rate_hz) => (tick as f64 * 1e9 / rate_hz).round() as i64,
+            Time::Rate(tick, rate_hz) => self.shown_at(tick as f64 * 1e9 / rate_hz, speed),
         };
         self.capture_ns = next_ns.max(self.capture_ns + 1);
         self.capture_ns
+    }
+
+    /// Capture time of a frame of a file, ns.
+    fn shown_at(&mut self, media_ns: f64, speed: f64) -> i64 {
+        if speed != self.played.speed {
+            self.count_from_now();
+            self.played.speed = speed;
+        }
+        let played = &mut self.played;
+        played.media_ns = media_ns;
+        (played.from_capture_ns + (media_ns - played.from_media_ns) / played.speed).round() as i64
+    }
+
+    /// Lets `period_ns` pass without a new frame; returns the capture time.
+    pub fn hold(&mut self, period_ns: i64) -> i64 {
+        self.capture_ns += period_ns;
+        self.count_from_now();
+        self.capture_ns
+    }
+
+    fn count_from_now(&mut self) {
+        self.played.from_media_ns = self.played.media_ns;
+        self.played.from_capture_ns = self.capture_ns.max(0) as f64;
+    }
+
+    /// Media time of the newest frame, s, in whole ns.
+    pub fn media_s(&self) -> f64 {
+        self.played.media_ns.max(0.0).round() / 1e9
     }
 
     /// Resets the pace: the next paced frame is due at once.
@@ -82,22 +130,36 @@ mod tests {
         let now_ns = Cell::new(7_000);
         let clock = || now_ns.get();
         let mut timing = Timing::default();
-        assert_eq!(timing.advance(Time::Device(None), &clock), 0);
-        assert_eq!(timing.advance(Time::Device(None), &clock), 1, "the clock stands still");
+        assert_eq!(timing.advance(Time::Device(None), 1.0, &clock), 0);
+        assert_eq!(timing.advance(Time::Device(None), 1.0, &clock), 1, "the clock stands still");
         now_ns.set(7_500);
-        assert_eq!(timing.advance(Time::Device(None), &clock), 500);
+        assert_eq!(timing.advance(Time::Device(None), 1.0, &clock), 500);
         now_ns.set(0);
-        assert_eq!(timing.advance(Time::Device(None), &clock), 501, "the clock went back");
-        assert_eq!(timing.advance(Time::Device(Some(8_000)), &clock), 1_000, "the arrival stands for the clock");
+        assert_eq!(timing.advance(Time::Device(None), 1.0, &clock), 501, "the clock went back");
+        assert_eq!(timing.advance(Time::Device(Some(8_000)), 1.0, &clock), 1_000, "the arrival stands for the clock");
     }
 
     #[test]
     fn media_times_never_go_back() {
         let mut timing = Timing::default();
         let clock = || panic!("media time needs no clock");
-        assert_eq!(timing.advance(Time::Media(0.5), &clock), 500_000_000);
-        assert_eq!(timing.advance(Time::Media(0.4), &clock), 500_000_001);
-        assert_eq!(timing.advance(Time::Rate(30, 30.0), &clock), 1_000_000_000);
+        assert_eq!(timing.advance(Time::Media(0.5), 1.0, &clock), 500_000_000);
+        assert_eq!(timing.advance(Time::Media(0.4), 1.0, &clock), 500_000_001);
+        assert_eq!(timing.advance(Time::Rate(30, 30.0), 1.0, &clock), 1_000_000_000);
+    }
+
+    #[test]
+    fn capture_times_follow_the_speed_and_go_on_while_a_frame_is_held() {
+        let mut timing = Timing::default();
+        let clock = || panic!("media time needs no clock");
+        assert_eq!(timing.advance(Time::Media(0.0), 2.0, &clock), 0);
+        assert_eq!(timing.advance(Time::Media(0.2), 2.0, &clock), 100_000_000);
+        assert_eq!(timing.hold(50_000_000), 150_000_000);
+        assert_eq!(timing.hold(50_000_000), 200_000_000);
+        assert_eq!(timing.advance(Time::Media(0.3), 2.0, &clock), 250_000_000);
+        assert_eq!(timing.advance(Time::Media(0.4), 0.5, &clock), 450_000_000);
+        assert_eq!(timing.advance(Time::Media(0.5), 1.0, &clock), 550_000_000);
+        assert_eq!(timing.media_s(), 0.5);
     }
 
     #[test]

@@ -9,6 +9,7 @@ mod missing_decoder;
 mod opening;
 mod orientation;
 mod pairs;
+mod playing;
 mod rtsp;
 #[path = "../../../core/vision/data/tests/samples/mod.rs"]
 mod samples;

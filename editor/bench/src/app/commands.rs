@@ -17,6 +17,7 @@ use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::folding::parent;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, PendingWire};
+use panoscope_editor_model::playing::Change;
 use panoscope_editor_widgets::ARROWS;
 
 /// Distance that an arrow key moves the view, in points.
@@ -227,9 +228,12 @@ impl App {
             Action::Timeline => _ = self.docks.toggle(Panel::Timeline),
             Action::Record => self.record(),
             Action::Acknowledge => self.acknowledge(),
-            Action::Play | Action::TickBack | Action::TickForward => match &self.timeline {
-                Some(timeline) if action == Action::Play => timeline.play(!timeline.position().plays),
-                Some(timeline) => timeline.step(if action == Action::TickBack { -1 } else { 1 }),
+            Action::Play => self.change_playing(Change::Toggle),
+            Action::TickForward => self.change_playing(Change::Step),
+            Action::Loop => self.change_playing(Change::Loop),
+            Action::Speed => self.change_playing(Change::Speed),
+            Action::TickBack => match &self.timeline {
+                Some(timeline) => timeline.step(-1),
                 None => self.notify(text!("need-recording"), true),
             },
             Action::Trace => _ = self.docks.toggle(Panel::Trace),

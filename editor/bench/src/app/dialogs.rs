@@ -48,8 +48,9 @@ impl App {
                 ui.add_space(2.0 * theme::STEP);
                 let keys =
                     actions::ALL.iter().map(|(action, .., name)| (actions::key_name(*action), texts::plain(name)));
+                let clipboard = format!("{}+C, X, V", text!("key-ctrl"));
                 let more = [
-                    ("Ctrl+C, X, V", text!("keys-clipboard")),
+                    (clipboard.as_str(), text!("keys-clipboard")),
                     (text!("key-digits"), text!("keys-recent")),
                     (text!("key-scale"), text!("keys-scale")),
                     (text!("key-arrows"), text!("keys-move")),

@@ -17,6 +17,7 @@ use crate::panels::inspector::{self, InspectorRequest};
 use crate::panels::{below, history, overview, params};
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_model::session::{Phase, Status};
+use panoscope_editor_model::timeline::Held;
 use panoscope_editor_widgets::theme;
 
 impl App {
@@ -303,7 +304,7 @@ impl App {
         }
         let view = self.document.view().clone();
         let problem = status.problem.as_ref().and_then(|t| Some((t.node.as_deref()?, t.message.as_str())));
-        let has = |output: &Output| self.timeline.as_ref().is_some_and(|timeline| timeline.has(output));
+        let held = |output: &Output| self.timeline.as_ref().map_or(Held::Lacking, |timeline| timeline.held(output));
         let scene = Scene {
             view: &view,
             counters,
@@ -311,7 +312,7 @@ impl App {
             heat: self.heat,
             running: status.phase == Phase::Running,
             problem,
-            recorded: self.timeline.as_ref().map(|_| &has as &dyn Fn(&Output) -> bool),
+            recorded: self.timeline.as_ref().map(|_| &held as &dyn Fn(&Output) -> Held),
         };
         let requests = self.canvas.show(ui, &scene, self.document.revision());
         requests.into_iter().for_each(|request| self.handle_canvas(request));
@@ -324,7 +325,9 @@ impl App {
         others.extend(self.viewer.source().and_then(|source| self.of_second_run(source)));
         let trajectories: Vec<Output> = trajectories.into_iter().map(|(output, _)| output).collect();
         let probe = self.viewer.probe_request().and_then(|(output, _)| self.probes.get(output)).cloned();
-        let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories, probe.as_ref());
+        let comparison = self.comparison();
+        let numbers = (probe.as_ref(), comparison.as_ref());
+        let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories, numbers);
         self.pick_on(ui, image_rects);
     }
 

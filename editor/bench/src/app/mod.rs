@@ -12,6 +12,7 @@ mod moments;
 mod new_graph;
 mod parts;
 mod picking;
+mod playing;
 mod previews;
 mod saving;
 mod script;
@@ -301,6 +302,11 @@ impl App {
         self.viewer.source().map(|v| &v.output)
     }
 
+    /// The output that it is compared with.
+    pub fn compared_with(&self) -> Option<&Output> {
+        self.viewer.sources().nth(1).map(|v| &v.output)
+    }
+
     /// The values that are read from an output's picture, while it is shown alone in the viewer or in the panel of its node.
     pub fn probe(&self, output: &Output) -> Option<&Probe> {
         self.probes.get(output)
@@ -470,7 +476,8 @@ impl App {
         let bar = Frame::new().fill(theme::panel()).inner_margin(Margin::symmetric(16, 8));
         let actions = Panel::top("top").frame(bar).exact_size(44.0).show(ui, |ui| {
             let recorded = self.timeline.as_ref().map(Timeline::path);
-            top::show(ui, &self.document, (status, &counters, recorded), |action| self.is_on(action))
+            let playing = self.playing_now(status);
+            top::show(ui, &self.document, (status, &counters, recorded), playing, |action| self.is_on(action))
         });
         actions.inner.into_iter().for_each(|action| self.perform(action));
         self.machine_bar(ui);

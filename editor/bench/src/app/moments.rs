@@ -9,8 +9,10 @@ use super::App;
 use crate::panels::files::{Files, Target};
 use crate::panels::timeline::TimelineRequest;
 use crate::viewer::Source;
+use panoscope_editor_model::computing::Request;
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::numbered::next_file;
+use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::session::{Status, recordings_folder};
 use panoscope_editor_model::texts::text;
 use panoscope_editor_model::timeline::{Timeline, second};
@@ -30,6 +32,7 @@ impl App {
     /// Takes new pictures: of the recording while one is shown, else of the running graph.
     pub(super) fn take_pictures(&mut self, ctx: &Context) {
         let running = self.observer.take();
+        self.timeline.iter().for_each(Timeline::follow_computation);
         let pictures = self.timeline.as_ref().map_or(running, Timeline::take);
         self.shown.update(ctx, pictures);
     }
@@ -37,7 +40,8 @@ impl App {
     /// Draws the panel.
     pub(super) fn timeline_panel(&mut self, ui: &mut Ui) {
         let recording = self.session.status().recording;
-        match self.timeline_panel.show(ui, self.timeline.as_ref(), recording.as_deref()) {
+        let graph = self.document.whole();
+        match self.timeline_panel.show(ui, self.timeline.as_ref(), recording.as_deref(), graph) {
             Some(TimelineRequest::Open(path)) => self.open_recording(&path, ui.ctx()),
             Some(TimelineRequest::Browse(target)) => {
                 let folder = recordings_folder(self.document.path());
@@ -45,6 +49,7 @@ impl App {
                 self.files = Some(Files::new(target, &folder, ""));
             }
             Some(TimelineRequest::Record) => self.record(),
+            Some(TimelineRequest::Compute) => self.compute_the_others(),
             Some(TimelineRequest::Compare(path)) => self.compare_recordings(Some(&path)),
             Some(TimelineRequest::EndCompare) => self.compare_recordings(None),
             Some(TimelineRequest::Close) => self.close_recording(),
@@ -129,8 +134,34 @@ impl App {
                 }
                 self.shown = OutputCache::default();
                 self.timeline = Some(timeline);
+                if self.is_anything_lacking() {
+                    self.compute_the_others();
+                }
             }
             Err(error) => self.notify(error.to_string(), true),
+        }
+    }
+
+    /// Whether the recording lacks all outputs of a node.
+    fn is_anything_lacking(&self) -> bool {
+        let Some(timeline) = &self.timeline else { return false };
+        self.document.view().flat().nodes.iter().any(|node| {
+            let outputs = node.node_type.iter().flat_map(|node_type| &node_type.outputs);
+            let mut outputs = outputs.map(|port| Output::new(node.id(), &port.name)).peekable();
+            outputs.peek().is_some() && outputs.all(|output| !timeline.has(&output))
+        })
+    }
+
+    /// Computes the outputs that the recording lacks with the graph of the window.
+    fn compute_the_others(&mut self) {
+        if self.is_attached() || !self.document.view().valid {
+            return;
+        }
+        let graph = (self.document.path().to_owned(), self.document.whole().to_string());
+        let request = Request { graph, loader: self.session.loader() };
+        let result = self.timeline.as_mut().map(|timeline| timeline.compute(request));
+        if let Some(Err(error)) = result {
+            self.notify(error.to_string(), true);
         }
     }
 

@@ -6,10 +6,12 @@ use panoscope_abi::LINKS;
 
 use super::{App, LARGE, THUMBNAIL};
 use crate::viewer::Source;
+use panoscope_editor_model::comparing::Comparison;
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::observe::{LARGE_INTERVAL, Output, PreviewRequest, THUMBNAIL_INTERVAL};
 use panoscope_editor_model::picture::is_pictorial;
 use panoscope_editor_model::probe::ProbeRequest;
+use panoscope_editor_model::timeline::Timeline;
 
 impl App {
     /// Outputs that can be compared in the viewer: those that are read, and those with a thumbnail.
@@ -44,6 +46,11 @@ impl App {
             .filter(|(_, port)| packets.contains(&port.packet.name.as_str()))
             .map(|(id, port)| (Output::new(id, &port.name), port.packet.name.clone()))
             .collect()
+    }
+
+    /// How the two outputs in the viewer differ.
+    pub fn comparison(&self) -> Option<Comparison> {
+        self.timeline.as_ref().map_or_else(|| self.observer.comparison(), Timeline::comparison)
     }
 
     /// Requests previews of the visible outputs from the observer.
@@ -94,7 +101,10 @@ impl App {
         {
             requests.viewpoint = Some(viewpoint);
         }
+        let compared = self.viewer.comparison_request();
+        self.observer.compare(compared.clone().filter(|_| self.timeline.is_none()));
         let of_running = if let Some(timeline) = &self.timeline {
+            timeline.compare(compared);
             timeline.set_probes(probes);
             HashMap::new()
         } else {

@@ -24,6 +24,7 @@ use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::layout;
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_model::texts::text;
+use panoscope_editor_model::timeline::Held;
 use panoscope_editor_widgets::OutputCache;
 
 pub use interaction::{CanvasRequest, End};
@@ -58,8 +59,8 @@ pub struct Scene<'a> {
     pub running: bool,
     /// The node at which the last change failed, with the reason.
     pub problem: Option<(&'a str, &'a str)>,
-    /// While a recording is shown in place of the running graph: whether it has an output.
-    pub recorded: Option<&'a dyn Fn(&Output) -> bool>,
+    /// While a recording is shown in place of the running graph: what there is of an output.
+    pub recorded: Option<&'a dyn Fn(&Output) -> Held>,
 }
 
 /// The state of the canvas.

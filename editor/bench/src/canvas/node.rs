@@ -16,6 +16,7 @@ use panoscope_editor_model::content::{Content, DetectedBox};
 use panoscope_editor_model::document::default_value;
 use panoscope_editor_model::graph_view::{GraphView, without_name};
 use panoscope_editor_model::texts::{decimal, text};
+use panoscope_editor_model::timeline::Held;
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme::{self, PinShape};
 use panoscope_engine::fault::{Cause, Fault};
@@ -232,11 +233,12 @@ impl Canvas {
             }
             None => {
                 painter.rect_filled(frame, 4.0 * scale, theme::sunk());
-                let lacks = scene.recorded.is_some_and(|has| !has(below));
-                let caption =
-                    if lacks { text!("canvas-not-recorded") } else { scene.shown.text(output).unwrap_or(packet) };
-                let galley =
-                    painter.layout(caption.to_owned(), self.font(11.0), theme::text(), frame.width() - 16.0 * scale);
+                let held = scene.recorded.map(|held| held(below));
+                let caption = match held {
+                    Some(held @ (Held::Lacking | Held::Computing(_))) => held_in_words(held),
+                    _ => scene.shown.text(output).unwrap_or(packet).to_owned(),
+                };
+                let galley = painter.layout(caption, self.font(11.0), theme::text(), frame.width() - 16.0 * scale);
                 let clipped = painter.with_clip_rect(frame.intersect(self.rect));
                 let at = frame.left_center() + vec2(8.0 * scale, -galley.size().y / 2.0);
                 clipped.galley(pos2(at.x, at.y.max(frame.top() + 4.0)), galley, theme::text());
@@ -303,11 +305,8 @@ impl Canvas {
             let kind = if color == theme::muted() { text!("canvas-unfinished") } else { text!("canvas-mistake") };
             return line(kind, color);
         }
-        if let (Some(has), Some((output, _))) = (scene.recorded, &self.shapes[node].output) {
-            return line(
-                if has(output) { text!("canvas-recorded") } else { text!("canvas-not-recorded") },
-                theme::muted(),
-            );
+        if let (Some(held), Some((output, _))) = (scene.recorded, &self.shapes[node].output) {
+            return line(&held_in_words(held(output)), theme::muted());
         }
         let Some(c) = scene.counters.nodes.get(this.id()) else { return };
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
@@ -411,6 +410,16 @@ fn label_at(rect: Rect, size: Vec2, picture: Rect) -> Pos2 {
     pos2(rect.left().min(last.x).max(picture.left()), y.min(last.y).max(picture.top()))
 }
 
+/// What there is of an output of a recording, as text.
+fn held_in_words(held: Held) -> String {
+    match held {
+        Held::Recorded => text!("canvas-recorded").to_owned(),
+        Held::Computed => text!("canvas-computed").to_owned(),
+        Held::Computing(percent) => text!("canvas-computing", percent = usize::from(percent)),
+        Held::Lacking => text!("canvas-not-recorded").to_owned(),
+    }
+}
+
 /// The least score of the boxes that nodes show: the greatest `min_score` that one of them has.
 fn min_score(view: &GraphView, nodes: &[&str]) -> f32 {
     let of = |id: &&str| {
@@ -460,7 +469,11 @@ fn elided(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use panoscope_editor_model::graph_view::NodeView;
+    use panoscope_graph::{NodeOutline, NodeType, Param, ParamKind};
 
     #[test]
     fn labels_of_boxes_stay_inside_the_picture() {
@@ -473,5 +486,28 @@ mod tests {
         }
         let above = label_at(Rect::from_min_size(pos2(30.0, 40.0), vec2(20.0, 20.0)), size, picture);
         assert_eq!(above, pos2(30.0, 28.0), "above the box where there is space");
+    }
+
+    #[test]
+    fn boxes_below_the_least_score_of_their_nodes_are_not_shown() {
+        let node = |id: &str, given: Option<f64>| {
+            let kind = ParamKind::Float { default: 0.25, min: None, max: None, step: None };
+            let param = toml::from_str::<Param>("name = \"min_score\"\nkind = \"float\"\ndefault = 0.0\n");
+            let param = Param { kind, ..param.expect("a parameter") };
+            let params = given.map(|value| ("min_score".to_owned(), value.into())).into_iter().collect();
+            let (id, type_name, inputs, line) = (id.to_owned(), "yolo".to_owned(), Vec::new(), 1);
+            NodeView {
+                outline: NodeOutline { id, type_name, inputs, params, line },
+                node_type: Some(Arc::new(NodeType { params: vec![param], ..NodeType::default() })),
+                position: None,
+                mistakes: Vec::new(),
+                is_part: false,
+            }
+        };
+        let mut view = GraphView::default();
+        view.nodes.extend([node("find", None), node("show", Some(0.5))]);
+        assert_eq!(min_score(&view, &["find"]), 0.25, "the default");
+        assert_eq!(min_score(&view, &["find", "show"]), 0.5, "the greatest of the two");
+        assert_eq!(min_score(&view, &["nobody"]), 0.0);
     }
 }

@@ -2,6 +2,7 @@
 
 pub mod below;
 pub mod cutout;
+mod distribution;
 pub mod files;
 pub mod history;
 pub mod inspector;

@@ -3,14 +3,16 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
 
-use eframe::egui::{Align, Align2, Button, FontId, Layout, Ui, WidgetInfo, WidgetType};
+use eframe::egui::{Align, Align2, Button, FontId, Layout, RichText, Ui, WidgetInfo, WidgetType};
 use egui_plot::{Corner, Legend, Line, Plot, PlotPoints};
 
 use super::cutout::Cutout;
+use super::distribution::{self, Cell, Spread};
 use panoscope_editor_model::content::Content;
 use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::observe::{Counters, Output, Point};
-use panoscope_editor_model::texts::text;
+use panoscope_editor_model::picture::short;
+use panoscope_editor_model::texts::{number, text};
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 
@@ -33,10 +35,15 @@ pub enum Kind {
     Queues,
     /// Values of scalar and table outputs.
     Values,
+    /// One such value over another.
+    Scatter,
+    /// How one such value spreads over time.
+    Histogram,
 }
 
 impl Kind {
-    const ALL: [Self; 5] = [Self::Times, Self::Slowest, Self::Rate, Self::Queues, Self::Values];
+    const ALL: [Self; 7] =
+        [Self::Times, Self::Slowest, Self::Rate, Self::Queues, Self::Values, Self::Scatter, Self::Histogram];
 
     fn label(self) -> &'static str {
         match self {
@@ -45,6 +52,8 @@ impl Kind {
             Self::Rate => text!("plot-rate"),
             Self::Queues => text!("plot-queues"),
             Self::Values => text!("plot-values"),
+            Self::Scatter => text!("plot-scatter"),
+            Self::Histogram => text!("plot-histogram"),
         }
     }
 
@@ -53,7 +62,7 @@ impl Kind {
             Self::Times | Self::Slowest => text!("plot-times.axis"),
             Self::Rate => text!("plot-rate.axis"),
             Self::Queues => text!("plot-queues.axis"),
-            Self::Values => text!("plot-values.axis"),
+            Self::Values | Self::Scatter | Self::Histogram => text!("plot-values.axis"),
         }
     }
 
@@ -63,7 +72,7 @@ impl Kind {
             Self::Times | Self::Slowest => "ms_per_call",
             Self::Rate => "calls_per_second",
             Self::Queues => "packets_waiting",
-            Self::Values => "value",
+            Self::Values | Self::Scatter | Self::Histogram => "value",
         }
     }
 
@@ -85,6 +94,9 @@ pub struct Plots {
     kind: Kind,
     values: BTreeMap<String, VecDeque<[f64; 2]>>,
     seen: BTreeMap<Output, u64>,
+    /// The values that are set against each other; the second one also for its histogram.
+    x: String,
+    y: String,
     cutout: Cutout,
 }
 
@@ -99,7 +111,7 @@ pub enum Export {
 impl Plots {
     /// Whether values of outputs are shown.
     pub fn wants_values(&self) -> bool {
-        self.kind == Kind::Values
+        matches!(self.kind, Kind::Values | Kind::Scatter | Kind::Histogram)
     }
 
     /// Sets what the curves show.
@@ -164,9 +176,10 @@ impl Plots {
 
     /// Shows the panel; returns what to export.
     pub fn show(&mut self, ui: &mut Ui, view: &GraphView, counters: &Counters, selected: &[String]) -> Option<Export> {
-        let curves = self.curves(view, counters, selected);
+        let related = matches!(self.kind, Kind::Scatter | Kind::Histogram);
+        let curves = if related { Vec::new() } else { self.curves(view, counters, selected) };
         let mut export = self.cutout.taken(ui.ctx()).map(Export::Picture);
-        let empty = curves.is_empty();
+        let empty = if related { self.values.is_empty() } else { curves.is_empty() };
         let mut requested = false;
         ui.horizontal(|ui| {
             for kind in Kind::ALL {
@@ -177,24 +190,33 @@ impl Plots {
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 requested = ui.button("PNG").on_hover_text(text!("export-png-hint")).clicked();
                 if ui.button("CSV").on_hover_text(text!("export-curves-hint")).clicked() {
-                    export = Some(Export::Csv(csv(self.kind, &curves)));
+                    export = Some(Export::Csv(self.table(&curves)));
                 }
             });
         });
-        let mut plot = Plot::new("curves")
-            .legend(Legend::default().position(Corner::LeftTop))
-            .y_axis_label(self.kind.axis())
-            .include_x(-30.0)
-            .include_x(0.0)
-            .allow_scroll(false)
-            .x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
-            .show_grid(true);
-        if self.kind != Kind::Values {
-            plot = plot.include_y(0.0);
-        }
+        let related = related.then(|| self.choose(ui));
+        let mut plot = Plot::new(("curves", related.is_some())).allow_scroll(false).show_grid(true);
+        plot = plot.y_axis_formatter(|mark, _| in_steps(mark.value, mark.step_size));
+        plot = match (self.kind, &related) {
+            (Kind::Scatter, _) => plot.x_axis_label(self.x.as_str()).y_axis_label(self.y.as_str()),
+            (_, Some(_)) => {
+                plot.y_axis_label(self.y.as_str()).x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
+            }
+            (kind, None) => {
+                let legend = Legend::default().position(Corner::LeftTop);
+                let curves = plot.legend(legend).y_axis_label(kind.axis()).include_x(-30.0).include_x(0.0);
+                let curves = curves.x_axis_formatter(|mark, _| format!("{:.0} s", mark.value));
+                if kind == Kind::Values { curves } else { curves.include_y(0.0) }
+            }
+        };
         // The grid uses the text colour.
         ui.visuals_mut().override_text_color = Some(theme::muted().gamma_multiply(0.8));
         let shown = plot.show(ui, |plot| {
+            match &related {
+                Some(Related::Pairs(pairs)) => distribution::scatter(plot, pairs),
+                Some(Related::Spread(spread)) => distribution::histogram(plot, spread),
+                None => {}
+            }
             for (k, (name, points)) in curves.into_iter().enumerate() {
                 let points: PlotPoints<'_> = points.into_iter().collect();
                 plot.line(Line::new(name, points).color(theme::class(k as u32)).width(1.8));
@@ -207,7 +229,7 @@ impl Plots {
         if empty {
             let caption = match self.kind {
                 Kind::Queues => text!("plot-queues.none"),
-                Kind::Values => text!("plot-values.none"),
+                Kind::Values | Kind::Scatter | Kind::Histogram => text!("plot-values.none"),
                 _ => text!("overview-nothing"),
             };
             let font = FontId::proportional(13.0);
@@ -215,6 +237,72 @@ impl Plots {
         }
         export
     }
+}
+
+/// What is drawn of values that are related to each other or to time.
+enum Related {
+    Pairs(Vec<[f64; 2]>),
+    Spread(Spread),
+}
+
+impl Plots {
+    /// Shows which values are related; returns what to draw.
+    fn choose(&mut self, ui: &mut Ui) -> Related {
+        ui.horizontal(|ui| {
+            let Self { kind, values, x, y, .. } = &mut *self;
+            if *kind == Kind::Scatter {
+                distribution::choose(ui, text!("plot-x"), x, values.keys());
+            }
+            distribution::choose(ui, text!("plot-y"), y, values.keys());
+            let related = self.related();
+            let about = match &related {
+                Related::Pairs(pairs) => distribution::scatter_words(pairs),
+                Related::Spread(Spread { mean, deviation, .. }) => {
+                    let (mean, deviation) = (short(*mean), short(*deviation));
+                    text!("plot-histogram-about", mean = mean, deviation = deviation)
+                }
+            };
+            ui.label(RichText::new(about).size(12.0).color(theme::muted()));
+            related
+        })
+        .inner
+    }
+
+    fn related(&self) -> Related {
+        let none = VecDeque::new();
+        let of = |name: &String| self.values.get(name).unwrap_or(&none);
+        match self.kind {
+            Kind::Scatter => Related::Pairs(distribution::pairs(of(&self.x), of(&self.y))),
+            _ => Related::Spread(Spread::of(of(&self.y))),
+        }
+    }
+
+    /// What is shown as CSV.
+    fn table(&self, curves: &[Curve]) -> String {
+        let mut out = String::new();
+        match self.kind {
+            Kind::Scatter | Kind::Histogram => match self.related() {
+                Related::Pairs(pairs) => {
+                    let _ = writeln!(out, "\"{}\",\"{}\"", self.x.replace('"', "\"\""), self.y.replace('"', "\"\""));
+                    pairs.iter().for_each(|[x, y]| _ = writeln!(out, "{x},{y}"));
+                }
+                Related::Spread(spread) => {
+                    out.push_str("from_s,to_s,from,to,count\n");
+                    for Cell { time_s: [begin, end], value: [low, high], count, .. } in &spread.cells {
+                        let _ = writeln!(out, "{begin:.3},{end:.3},{low},{high},{count}");
+                    }
+                }
+            },
+            kind => out = csv(kind, curves),
+        }
+        out
+    }
+}
+
+/// A number at an axis whose marks are `step` apart, as the language of the window writes it.
+fn in_steps(value: f64, step: f64) -> String {
+    let places = (-step.max(1e-9).log10() - 1e-9).ceil().max(0.0);
+    number(value, places as u8)
 }
 
 /// All points as CSV, one per line.
@@ -234,7 +322,18 @@ mod tests {
     use super::*;
     use eframe::egui::Context;
     use panoscope_editor_model::picture::RenderedPacket;
+    use panoscope_editor_model::texts::{Language, set_language};
     use std::collections::HashMap;
+
+    #[test]
+    fn axes_have_the_decimal_sign_of_the_language() {
+        assert_eq!(
+            (in_steps(0.2, 0.1), in_steps(20.0, 10.0), in_steps(0.25, 0.05)),
+            ("0.2".into(), "20".into(), "0.25".into())
+        );
+        set_language(Language::German);
+        assert_eq!(in_steps(0.2, 0.1), "0,2");
+    }
 
     #[test]
     fn values_of_ports_become_curves_and_a_table() {
@@ -253,6 +352,13 @@ mod tests {
         assert_eq!(curves, [("pid.errors x mm".to_owned(), vec![[-0.2, 0.0], [-0.1, 1.0], [0.0, 2.0]])]);
         assert_eq!(csv(Kind::Values, &curves).lines().nth(3), Some("\"pid.errors x mm\",0.000,2"));
         assert!(plots.curves(&GraphView::default(), &Counters::default(), &["other".to_owned()]).is_empty());
+        // The same value over itself, and its spread.
+        (plots.x, plots.y) = ("pid.errors x mm".to_owned(), "pid.errors x mm".to_owned());
+        plots.set_kind(Kind::Scatter);
+        assert_eq!(plots.table(&[]), "\"pid.errors x mm\",\"pid.errors x mm\"\n0,0\n1,1\n2,2\n");
+        plots.set_kind(Kind::Histogram);
+        assert_eq!(plots.table(&[]).lines().count(), 4, "{}", plots.table(&[]));
+        plots.set_kind(Kind::Values);
         plots.follow(&shown, &[]);
         assert!(
             plots.curves(&GraphView::default(), &Counters::default(), &[]).is_empty(),

@@ -278,7 +278,7 @@ impl SweepPanel {
         };
         let request = Request {
             path: path.to_owned(),
-            text: document.runnable().to_string(),
+            text: document.whole().to_string(),
             settings: Vec::new(),
             param: self.param.clone(),
             from: Some(self.from),

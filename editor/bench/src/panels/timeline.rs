@@ -24,6 +24,8 @@ pub enum TimelineRequest {
     Browse(Target),
     /// Record the graph, or end the recording.
     Record,
+    /// Compute the outputs that the recording lacks.
+    Compute,
     /// Close the recording.
     Close,
 }
@@ -42,12 +44,13 @@ pub struct TimelinePanel {
 impl TimelinePanel {
     /// Shows the panel; returns the user's requests.
     ///
-    /// `recording` is the file that the running graph is recorded to.
+    /// `recording` is the file that the running graph is recorded to, `graph` the text of the graph.
     pub fn show(
         &mut self,
         ui: &mut Ui,
         timeline: Option<&Timeline>,
         recording: Option<&Path>,
+        graph: &str,
     ) -> Option<TimelineRequest> {
         let Some(timeline) = timeline else {
             return self.closed(ui, recording);
@@ -122,6 +125,16 @@ impl TimelinePanel {
         label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, text!("timeline-at-name", moment = &words)));
         if let Some(problem) = timeline.problem() {
             ui.label(RichText::new(problem).color(theme::fault()));
+        }
+        if let Some(computation) = timeline.computation() {
+            if let Some(reason) = computation.problem() {
+                ui.label(RichText::new(text!("timeline-compute.failed", reason = reason)).color(theme::fault()));
+            }
+            let mut again =
+                || ui.button(text!("timeline-compute")).on_hover_text(text!("timeline-compute.hint")).clicked();
+            if !computation.is_of(graph) && again() {
+                request = Some(TimelineRequest::Compute);
+            }
         }
         ui.horizontal(|ui| match timeline.second_path() {
             Some(path) => {

@@ -10,6 +10,7 @@ use crate::actions::{self, Action};
 use panoscope_editor_model::disk::is_full;
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Counters;
+use panoscope_editor_model::playing::Playing;
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_model::texts::{decimal, text};
 use panoscope_editor_widgets::format_time;
@@ -36,11 +37,12 @@ enum Folded {
 
 /// Shows the bar; returns the actions that the user requests.
 ///
-/// `recorded` is the recording that is shown in place of the running graph; `on` says whether an action's panel or mode is on.
+/// `recorded` is the recording that is shown in place of the running graph, `playing` how it or files are played; `on` says whether an action's panel or mode is on.
 pub fn show(
     ui: &mut Ui,
     document: &Document,
     (status, counters, recorded): (&Status, &Counters, Option<&Path>),
+    playing: Option<Playing>,
     on: impl Fn(Action) -> bool,
 ) -> Vec<Action> {
     let mut actions = Vec::new();
@@ -62,7 +64,8 @@ pub fn show(
         item(Action::States, text!("top-presets"), true),
         item(Action::Help, text!("top-keys"), true),
     ];
-    let run = run_items(document, status, item);
+    let mut run = play_items(playing);
+    run.extend(run_items(document, status, item));
     ui.horizontal_centered(|ui| {
         ui.spacing_mut().item_spacing.x = theme::STEP * 1.5;
         let bar = ui.available_rect_before_wrap();
@@ -112,6 +115,19 @@ pub fn show(
         });
     });
     actions
+}
+
+/// The buttons of what is played: pause, step, loop, speed.
+fn play_items(playing: Option<Playing>) -> Vec<Item> {
+    let Some(Playing { plays, loops, speed }) = playing else { return Vec::new() };
+    let item = |action, caption: &str, selected| Item { action, caption: caption.to_owned(), selected, enabled: true };
+    let places = if speed.fract() == 0.0 { 0 } else { 2 };
+    vec![
+        item(Action::Play, if plays { text!("top-play.pause") } else { text!("top-play") }, !plays),
+        item(Action::TickForward, text!("top-step"), false),
+        item(Action::Loop, text!("top-loop"), loops),
+        item(Action::Speed, &text!("top-speed", speed = decimal(speed, places)), speed != 1.0),
+    ]
 }
 
 /// The buttons about the run.

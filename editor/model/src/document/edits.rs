@@ -64,6 +64,8 @@ impl Document {
         merge: Option<&str>,
         changes: &[(&str, &str, Option<&toml::Value>)],
     ) -> Result<(), EditError> {
+        // What is set in the text holds from now on.
+        self.played.retain(|(node, param, _)| !changes.iter().any(|(n, p, _)| n == node && p == param));
         self.edit_files(by, label, merge, |files, parsed| {
             for (node, param, value) in changes {
                 match parsed.param_home(node, param) {

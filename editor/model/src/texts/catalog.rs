@@ -9,10 +9,10 @@ use fluent_bundle::{FluentArgs, FluentResource, FluentValue};
 use fluent_syntax::ast::{Attribute, Entry, Expression, InlineExpression, Pattern, PatternElement};
 use unic_langid::LanguageIdentifier;
 
-use super::{DECLARED, FILES, Language, Value, number};
+use super::{DECLARED, FILES, Language, Value, added, number};
 
 /// The texts of a language.
-struct Catalog {
+pub(crate) struct Catalog {
     bundle: FluentBundle<FluentResource>,
     /// Texts without variables, which are shown again and again.
     plain: OnceLock<HashMap<&'static str, &'static str>>,
@@ -54,13 +54,13 @@ fn simple_texts(language: Language) -> HashMap<String, Vec<Piece>> {
     all
 }
 
-/// In the order of [`Language::ALL`], which is that of their declaration.
+/// In the order of [`Language::ALL`].
 static CATALOGS: [OnceLock<Catalog>; Language::ALL.len()] = [const { OnceLock::new() }; Language::ALL.len()];
 
 impl Catalog {
     /// The texts of a language. What is wrong in its files is left out, and found by the tests.
-    fn read<'a>(language: Language, files: impl Iterator<Item = &'a str>) -> Self {
-        let locale: LanguageIdentifier = language.code().parse().unwrap_or_default();
+    pub(crate) fn read<'a>(code: &str, files: impl Iterator<Item = &'a str>) -> Self {
+        let locale: LanguageIdentifier = code.parse().unwrap_or_default();
         let mut bundle = FluentBundle::new_concurrent(vec![locale]);
         // All languages here are written from left to right.
         bundle.set_use_isolating(false);
@@ -73,15 +73,22 @@ impl Catalog {
 
     fn embedded(language: Language) -> Self {
         let own = FILES.iter().filter(|(code, ..)| *code == language.code());
-        Self::read(language, own.map(|(.., text)| *text))
+        Self::read(language.code(), own.map(|(.., text)| *text))
     }
 
     fn of(language: Language) -> &'static Self {
-        CATALOGS[language as usize].get_or_init(|| Self::embedded(language))
+        let at = match language {
+            Language::Added(at) => {
+                return added::get(at).map_or_else(|| Self::of(Language::English), |added| &added.catalog);
+            }
+            Language::German => 1,
+            Language::English => 0,
+        };
+        CATALOGS[at].get_or_init(|| Self::embedded(language))
     }
 
     /// A text, and whether all its variables have values; `None` where there is none.
-    fn text(&self, id: &str, values: Option<&FluentArgs<'_>>) -> Option<(String, bool)> {
+    pub(crate) fn text(&self, id: &str, values: Option<&FluentArgs<'_>>) -> Option<(String, bool)> {
         let (id, attribute) = id.split_once('.').map_or((id, None), |(id, attribute)| (id, Some(attribute)));
         let message = self.bundle.get_message(id)?;
         let pattern = match attribute {
@@ -200,10 +207,8 @@ mod tests {
 
     #[test]
     fn a_text_is_never_lacking() {
-        let english =
-            Catalog::read(Language::English, ["a = Stop { $node }\nb = Held\n    .name = Held for long\n"].into_iter());
-        let german =
-            Catalog::read(Language::German, ["a = Stopp { $knoten }\n{ this is no text\nc = Rest\n"].into_iter());
+        let english = Catalog::read("en", ["a = Stop { $node }\nb = Held\n    .name = Held for long\n"].into_iter());
+        let german = Catalog::read("de", ["a = Stopp { $knoten }\n{ this is no text\nc = Rest\n"].into_iter());
         let mut args = FluentArgs::new();
         args.set("node", "arm");
         let shown = |id: &str| best(german.text(id, Some(&args)), || english.text(id, Some(&args)), id);

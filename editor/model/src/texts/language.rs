@@ -2,6 +2,8 @@
 
 use std::cell::Cell;
 
+use super::added;
+
 /// A language of the windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Language {
@@ -10,6 +12,8 @@ pub enum Language {
     English,
     /// German.
     German,
+    /// One that was added by a file, by its place in the order of the files.
+    Added(u8),
 }
 
 thread_local! {
@@ -28,47 +32,54 @@ pub fn set_language(language: Language) {
 }
 
 impl Language {
-    /// All languages; English first.
+    /// The embedded languages; English first.
     pub const ALL: [Self; 2] = [Self::English, Self::German];
+
+    /// All languages: the embedded ones, then those that were added.
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::ALL.into_iter().chain((0..added::count()).map(Self::Added))
+    }
 
     /// Its code, which is also the name of its folder in `texts`.
     #[must_use]
-    pub const fn code(self) -> &'static str {
+    pub fn code(self) -> &'static str {
         match self {
             Self::English => "en",
             Self::German => "de",
+            Self::Added(at) => added::get(at).map_or("en", |added| added.code),
         }
     }
 
     /// Its name in the language itself.
     #[must_use]
-    pub const fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::English => "English",
             Self::German => "Deutsch",
+            Self::Added(at) => added::get(at).map_or("English", |added| added.name),
         }
     }
 
     /// The sign between whole and decimal places.
-    pub(crate) const fn decimal_sign(self) -> char {
+    pub(crate) fn decimal_sign(self) -> char {
         match self {
             Self::English => '.',
             Self::German => ',',
+            Self::Added(at) => added::get(at).map_or('.', |added| added.decimal_sign),
         }
     }
 
     /// The language after this one, and English after the last.
     #[must_use]
     pub fn next(self) -> Self {
-        let at = Self::ALL.iter().position(|known| *known == self).unwrap_or(0);
-        Self::ALL[(at + 1) % Self::ALL.len()]
+        Self::all().skip_while(|known| *known != self).nth(1).unwrap_or_default()
     }
 
     /// The language of a code or a locale, such as `de` or `de_AT.UTF-8`.
     #[must_use]
     pub fn of_locale(locale: &str) -> Option<Self> {
         let code = locale.split(['_', '-', '.', '@']).next().unwrap_or_default();
-        Self::ALL.into_iter().find(|language| language.code().eq_ignore_ascii_case(code))
+        Self::all().find(|language| language.code().eq_ignore_ascii_case(code))
     }
 
     /// The language that an environment asks for: the first of LC_ALL, LC_MESSAGES and LANG that is set decides, as for all programs. English where
@@ -103,7 +114,7 @@ mod tests {
     #[test]
     fn all_languages_are_listed_in_order() {
         for (at, language) in Language::ALL.into_iter().enumerate() {
-            assert_eq!(language as usize, at);
+            assert_eq!(language, Language::all().nth(at).unwrap_or_default());
             assert_eq!(Language::of_locale(language.code()), Some(language));
         }
     }

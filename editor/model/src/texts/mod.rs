@@ -1,5 +1,6 @@
 //! The texts of the editor and the theatre, in every language. English is the source and stands in for what a language lacks: a window never
-//! lacks a text. The files are `texts/LANGUAGE/AREA.ftl`, in the format of Project Fluent, and embedded.
+//! lacks a text. The files are `texts/LANGUAGE/AREA.ftl`, in the format of Project Fluent, and embedded; [`add_languages`] adds more while the program
+//! runs.
 //!
 //! ```
 //! use panoscope_editor_model::texts::{Language, decimal, set_language, text};
@@ -12,18 +13,19 @@
 //! The macros check names and variables when they are compiled; the tests compare the languages. The language belongs to a thread, as a window
 //! does: other threads speak English, which is the language of files and logs.
 
+mod added;
 mod catalog;
 mod language;
 #[cfg(test)]
 mod languages;
 mod number;
 mod phrase;
-#[cfg(test)]
 mod syntax;
 
 include!(concat!(env!("OUT_DIR"), "/texts.rs"));
 
 pub use crate::{phrase, text};
+pub use added::{TextsError, add_languages};
 pub use language::{Language, language, set_language};
 pub use number::{bytes, decimal, number, with_decimal_sign};
 pub use phrase::{Phrase, Value};

@@ -1,7 +1,7 @@
 //! Pointer and key input for tests of both windows.
 
 use eframe::egui::accesskit::{Action, Role};
-use eframe::egui::{Key, Modifiers, Pos2};
+use eframe::egui::{Event, Key, Modifiers, PointerButton, Pos2, TouchDeviceId, TouchId, TouchPhase};
 use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT, Queryable};
 
@@ -106,4 +106,40 @@ pub fn round_by_tab<S>(harness: &mut Harness<'_, S>) -> Vec<String> {
         }
     }
     round
+}
+
+/// Touches the screen at a position, moves the finger through others, and lifts it at the last one; sent as the window's system sends it.
+pub fn touch<S>(harness: &mut Harness<'_, S>, path: &[Pos2]) {
+    let (Some(first), Some(last)) = (path.first(), path.last()) else { return };
+    touch_down(harness, *first);
+    for at in &path[1..] {
+        harness.event(touch_event(TouchPhase::Move, *at));
+        harness.event(Event::PointerMoved(*at));
+        harness.step();
+    }
+    touch_up(harness, *last);
+}
+
+/// Puts a finger on the screen.
+pub fn touch_down<S>(harness: &mut Harness<'_, S>, at: Pos2) {
+    harness.event(touch_event(TouchPhase::Start, at));
+    harness.event(Event::PointerMoved(at));
+    harness.event(button(at, true));
+    steps(harness, 2);
+}
+
+/// Lifts the finger.
+pub fn touch_up<S>(harness: &mut Harness<'_, S>, at: Pos2) {
+    harness.event(touch_event(TouchPhase::End, at));
+    harness.event(button(at, false));
+    harness.event(Event::PointerGone);
+    steps(harness, 2);
+}
+
+fn touch_event(phase: TouchPhase, pos: Pos2) -> Event {
+    Event::Touch { device_id: TouchDeviceId(1), id: TouchId(1), phase, pos, force: None }
+}
+
+fn button(pos: Pos2, pressed: bool) -> Event {
+    Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE }
 }
