@@ -90,9 +90,11 @@ class MatcherTest(unittest.TestCase):
 
     def test_hidden_pixels_take_the_farther_neighbour_of_their_row(self):
         row = [UNKNOWN, 9, UNKNOWN, UNKNOWN, 4, UNKNOWN, 6, UNKNOWN]
-        filled = filled_rows(np.float32([row, [UNKNOWN] * 8]))
-        self.assertEqual(filled[0].tolist(), [9, 9, 4, 4, 4, 4, 6, 6])
-        self.assertEqual(filled[1].tolist(), [UNKNOWN] * 8)
+        empty = [UNKNOWN] * 8
+        filled = filled_rows(np.float32([row, empty, empty, [1] * 8]))
+        expected = [9, 9, 4, 4, 4, 4, 6, 6]
+        self.assertEqual(filled.tolist(), [expected, expected, [1] * 8, [1] * 8])
+        self.assertEqual(filled_rows(np.float32([empty])).tolist(), [empty])
 
     def test_an_untrained_network_leans_on_its_hints_and_is_finite_without_them(self):
         torch.manual_seed(2)

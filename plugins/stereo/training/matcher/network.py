@@ -24,6 +24,8 @@ AROUND = 4
 # Mean brightness that each view is brought to, and the smallest and largest gain for that.
 BRIGHTNESS, MIN_GAIN, MAX_GAIN = 0.4, 0.6, 6.0
 MIN_LOG_SCALE, MAX_LOG_SCALE = -4.0, 5.0
+# Scales above lead to the filled map; at twice as much it is taken as it is.
+DOUBTFUL_PX = 5.0
 # Values of the filled map below mean that the matcher knows nothing of the row; the node writes UNKNOWN there.
 KNOWN_ABOVE = -5000.0
 UNKNOWN = -10000.0
@@ -295,7 +297,7 @@ def read_weights(network, file):
 
 
 class Exported(nn.Module):
-    """The matcher as its file answers: the scale in px, fitted on pairs that the training never saw."""
+    """The matcher as its file answers: the scale in px, fitted on pairs that the training never saw; the filled map where the scale is large."""
 
     def __init__(self, matcher, factor=1.0, power=1.0):
         super().__init__()
@@ -303,4 +305,6 @@ class Exported(nn.Module):
 
     def forward(self, left, right, filled, known):
         disparity, log_scale, occlusion = self.matcher(left, right, filled, known)
-        return disparity, torch.exp(log_scale * self.power) * self.factor, occlusion
+        scale = torch.exp(log_scale * self.power) * self.factor
+        doubt = torch.clamp((scale - DOUBTFUL_PX) / DOUBTFUL_PX, 0.0, 1.0) * (filled > KNOWN_ABOVE).to(scale.dtype)
+        return disparity + doubt * (filled - disparity), scale, occlusion

@@ -13,8 +13,9 @@ from .network import GRAIN, KNOWN_ABOVE, RANGE_PX, UNKNOWN
 PLANES = {"left": ("u1", 3), "right": ("u1", 3), "disparity": ("i2", 1), "visible": ("u1", 1), "lit": ("u1", 1)}
 # Maps of the left view by our matchers, as `make_pairs.py` names them, and how often a sample has each; the rest has none.
 MATCHERS = {"bm": 0.3, "bm2": 0.05, "sgbm": 0.55}
-# Pairs of which `sgbm` knows less than this share are drawn more seldom, down to MIN_DRAWN times as often.
-WELL_KNOWN, MIN_DRAWN = 0.75, 0.15
+# Pairs that `sgbm` matches as photographs of textured scenes: it knows this share at least, with this mean error at most, px. Others are drawn OTHERS_DRAWN times as often:
+# a network that learns from poor hints trusts good ones too little.
+WELL_KNOWN, WELL_MATCHED_PX, OTHERS_DRAWN = 0.6, 1.5, 0.06
 # Of a pixel of disparity.
 STEPS = 64
 # Pairs at the start of the first folder that are kept for scores.
@@ -43,8 +44,14 @@ class Folder:
         for name in MATCHERS:
             stored = np.memmap(self.path / f"{name}.i2", "i2", "r")
             self.arrays[name] = stored[: self.pairs * self.size[0] * self.size[1]].reshape(self.pairs, *self.size)
-        known = np.array([(one[4::8, 4::8] > -32768).mean() for one in self.arrays["sgbm"]])
-        self.drawn = np.clip((known / WELL_KNOWN) ** 3, MIN_DRAWN, 1.0)
+        self.drawn = np.array([self.share_drawn(index) for index in range(self.pairs)])
+
+    def share_drawn(self, index):
+        """How often a pair is drawn, compared with a well-matched one."""
+        steps, truth = (self.arrays[name][index, 4::8, 4::8].astype(np.float32) for name in ("sgbm", "disparity"))
+        known = steps > -32768
+        error_px = np.minimum(np.abs(steps - truth)[known] / STEPS, 20.0)
+        return 1.0 if known.mean() > WELL_KNOWN and error_px.mean() < WELL_MATCHED_PX else OTHERS_DRAWN
 
     def pair(self, index, rows, matcher):
         """The planes of a pair: views 0 to 255, truth and the map of a matcher, or none, in px."""
@@ -59,7 +66,8 @@ class Folder:
 
 
 def filled_rows(map):
-    """Unknown pixels take the smaller of the nearest known values of their row, because what is hidden lies behind; rows that know nothing stay UNKNOWN."""
+    """Unknown pixels take the smaller of the nearest known values of their row, because what is hidden lies behind; rows that know nothing take the values of the nearest
+    row that does. A map that knows nothing stays UNKNOWN."""
     columns = np.arange(map.shape[1])
     known = map > KNOWN_ABOVE
     before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
@@ -67,7 +75,11 @@ def filled_rows(map):
     left = np.where(before >= 0, np.take_along_axis(map, np.maximum(before, 0), 1), np.inf)
     right = np.where(after < len(columns), np.take_along_axis(map, np.minimum(after, len(columns) - 1), 1), np.inf)
     filled = np.minimum(left, right)
-    return np.where(np.isfinite(filled), filled, UNKNOWN).astype(np.float32)
+    rows = np.flatnonzero(known.any(1))
+    if not len(rows):
+        return np.full(map.shape, UNKNOWN, np.float32)
+    nearest = rows[np.abs(rows - np.arange(len(map))[:, None]).argmin(1)]
+    return filled[nearest].astype(np.float32)
 
 
 def edges(disparity):
