@@ -29,7 +29,7 @@ pub struct Frame {
     pub small: (usize, usize),
     /// Of the network's inputs, whose sides are multiples of [`GRAIN_PX`].
     pub padded: (usize, usize),
-    /// By how much the right view is moved, so that the disparities are within the network's reach, px of the shrunk views.
+    /// By how much the right view is moved, so that the network reaches the disparities, px of the shrunk views.
     pub offset: usize,
 }
 
@@ -57,10 +57,9 @@ impl Frame {
         let factor = factor.min(size.0.min(size.1)).max(1);
         let small = (size.0 / factor, size.1 / factor);
         let up = |side: usize| side.next_multiple_of(GRAIN_PX);
-        let near = (high / factor as f32 - REACH_PX).max(0.0) as usize;
-        let far = (low / factor as f32) as usize;
-        // What is farthest stays at 0 or above.
-        let offset = near.next_multiple_of(OFFSET_STEP_PX).min(far);
+        // What lies behind stays above 0, and the reach is left to what is nearer than all that the matcher knows.
+        let steps = (low / factor as f32) as usize / OFFSET_STEP_PX;
+        let offset = steps.saturating_sub(1) * OFFSET_STEP_PX;
         Self { size, factor, small, padded: (up(small.0), up(small.1)), offset }
     }
 
@@ -194,9 +193,9 @@ mod tests {
         assert_eq!(of(640, 5.0, 150.0), (1, 0));
         assert_eq!(of(1920, 5.0, 150.0), (2, 0));
         assert_eq!(of(640, 5.0, 300.0), (2, 0));
-        assert_eq!(of(640, 180.0, 280.0).0, 1);
-        assert_eq!(of(640, 900.0, 1000.0).0, 1);
-        assert_eq!(of(640, 230.0, 420.0).0, 1);
+        assert_eq!(of(640, 180.0, 280.0), (1, 160));
+        assert_eq!(of(640, 900.0, 1000.0), (1, 880));
+        assert_eq!(of(640, 230.0, 420.0), (1, 208));
     }
 
     #[test]
