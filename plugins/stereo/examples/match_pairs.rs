@@ -1,7 +1,7 @@
 //! Matches gray pairs for the training of `stereo_net`: `match_pairs WIDTH HEIGHT`, pairs on standard input, maps on standard output.
 //!
-//! A pair is the bytes of the left view, then of the right one. For each come three maps of the left view as little-endian i16 in 1/64 px, `i16::MIN` where unknown: by
-//! block matching, by block matching of views shrunk by two, and by the semi-global matcher, each with the settings of its node.
+//! A pair is the bytes of the left view, then of the right one. For each come three maps of the left view as little-endian i16 in 1/64 px, `i16::MIN`
+//! where unknown: by block matching, by block matching of views shrunk by two, and by the semi-global matcher, each with the settings of its node.
 
 use std::io::{Read, Write};
 
