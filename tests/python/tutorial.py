@@ -75,12 +75,14 @@ class OwnNetwork(Notebook):
     def test_a_network_and_a_class_of_a_cell_run_beside_a_matcher(self):
         outputs, text = self.executed("own_network.ipynb")
         figures = {row[0]: list(map(float, row[1:])) for row in cells_of(outputs, "map")}
-        self.assertEqual(list(figures), ["network", "ours", "both"])
+        self.assertEqual(list(figures), ["network", "blocks", "ours", "shipped", "both"])
         for bad2_pct, mean_px, coverage_pct in figures.values():
             self.assertTrue(0 < bad2_pct < 80 and 0 < mean_px < 20 and coverage_pct > 20, figures)
         # What both agree on is less, and better, than either.
         self.assertLess(figures["both"][2], figures["ours"][2])
         self.assertLess(figures["both"][1], min(figures["ours"][1], figures["network"][1]))
+        # The network that ships fills what its hint leaves open.
+        self.assertGreater(figures["shipped"][2], 99)
         self.assertEqual(text.split("\n")[-4:], ["consensus_node.py", "own_network.toml", "stereo.onnx", ""])
 
 

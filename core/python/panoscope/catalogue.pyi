@@ -512,6 +512,16 @@ class StereoBm(Node):
     drifted: Output[Literal["scalar"]]
     """1 while matched points lie farther off their rows than `drift_px`: the calibration does not fit the views. Else 0."""
 
+class StereoNet(Node):
+    disparity: Output[Literal["disparity"]]
+    """Disparity of the left view, px; NaN where unlit, and where the expected error exceeds `max_error_px`."""
+    confidence: Output[Literal["confidence"]]
+    """Confidence of each pixel, 0 to 1: what `measure` turns into the standard deviation that the network states."""
+    error: Output[Literal["image"]]
+    """Mean size of the error that the network expects at each pixel, px."""
+    occluded: Output[Literal["mask"]]
+    """255 where the right view does not show the point, by the network."""
+
 class StereoOpencv(Node):
     disparity: Output[Literal["disparity"]]
     """Pixels of the left rectified view; NaN where unmatched."""
@@ -2521,6 +2531,33 @@ class NodeTypes:
         left_right_px: Largest difference between the disparities of both views; -1 does not check. (-1 to 64 px; default 1)
         scale: Factor by which views are shrunk before they are matched: a coarser map, much faster. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560. (0 to 8; default 1)
         device: What matches the views, with the same disparities. A GPU pays when large views are not shrunk. Without one the processor matches, with a warning. (default "cpu")"""
+
+    def stereo_net(
+        self,
+        left: Input[Literal["image"]],
+        right: Input[Literal["image"]],
+        matched: Input[Literal["disparity"]] | None = None,
+        mask_left: Input[Literal["mask"]] | None = None,
+        *,
+        model: File = ...,
+        max_error_px: Number = ...,
+        scale: Whole = ...,
+        threads: Whole = ...,
+        provider: Union[Literal["cpu", "cuda", "tensorrt", "openvino", "rocm", "migraphx"], Arg] = ...,
+        id: str | None = None,
+        **options: Unpack[NodeOptions],
+    ) -> StereoNet:
+        """A network that matches two rectified views, with a matcher's map as a hint, and states its error.
+
+        left: Rectified left view, bgr8 or gray8.
+        right: Rectified right view of the same instant, same size.
+        matched: Disparity of the left view by a matcher or a filter, px. Without it the network matches alone, which is less exact.
+        mask_left: What of the left view is lit, not 0. The map is unknown elsewhere; without it all is lit.
+        model: ONNX file of the network. (default "models/stereo_net.onnx")
+        max_error_px: Pixels whose expected error is larger are unknown; 0 keeps all. (0 to 100 px; default 0)
+        scale: Factor by which views and map are shrunk before the network. 0 finds it from the width (1 below 1440 px, 2 from 1440, 3 from 2160, 4 from 2880) and from the range of `matched`, of which the network reaches 216 px. (0 to 8; default 0)
+        threads: Number of threads of the network; 0 uses as many as the host has. (0 to 64; default 0)
+        provider: Execution provider: the processor, or an accelerator if ONNX Runtime's library supports it and finds a device. Otherwise the processor is used, with a warning. (default "cpu")"""
 
     def stereo_opencv(
         self,

@@ -36,19 +36,19 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
 
     setup::ensure(&[Purpose::Build])?;
     lint::require_clippy(workspace)?;
-    let (mut needs, finds_instruments) = needs(&text, graph.parent().unwrap_or(Path::new("")));
+    let (mut needs, runs_network) = needs(&text, graph.parent().unwrap_or(Path::new("")));
     // Graphs laid over this one may bring sources of their own.
     for file in values_of(args, "--with") {
         let text = fs::read_to_string(file).with_context(|| format!("cannot read {file}"))?;
         add_needs(&text, Path::new(file).parent().unwrap_or(Path::new("")), 16, &mut needs);
     }
-    // For graphs that find instruments: this one, or those that are tried next.
+    // For graphs that run networks: this one, or those that are tried next.
     match onnxruntime::fetch(workspace) {
         Ok(_) => {}
-        Err(error) if finds_instruments => {
+        Err(error) if runs_network => {
             return Err(error.context("this graph needs ONNX Runtime"));
         }
-        Err(error) => println!("ONNX Runtime was not fetched, so graphs that find instruments do not run: {error:#}"),
+        Err(error) => println!("ONNX Runtime was not fetched, so graphs that run networks do not run: {error:#}"),
     }
     let built = build_for_graph(workspace, &needs)?;
     let plugins: Vec<&str> = needs.plugins.iter().map(String::as_str).collect();
@@ -116,12 +116,12 @@ fn print_outputs(outputs: &[Output], start: SystemTime) -> Vec<String> {
     absent
 }
 
-/// Parts of a build that a graph and its parts need, and whether they find instruments by a network. Parts are relative
+/// Parts of a build that a graph and its parts need, and whether they run a network. Parts are relative
 /// to `folder`.
 fn needs(text: &str, folder: &Path) -> (Needs, bool) {
     let mut needs = Needs::default();
-    let finds_instruments = add_needs(text, folder, 16, &mut needs);
-    (needs, finds_instruments)
+    let runs_network = add_needs(text, folder, 16, &mut needs);
+    (needs, runs_network)
 }
 
 /// As [`needs`], up to this depth: the run reports a part that uses itself.
@@ -133,22 +133,22 @@ fn add_needs(text: &str, folder: &Path, depth: usize, needs: &mut Needs) -> bool
         needs.python |= name.ends_with(".py");
         needs.plugins.insert(name.to_owned());
     }
-    let mut finds_instruments = false;
+    let mut runs_network = false;
     let nodes = table.get("nodes").and_then(toml::Value::as_table);
     for (_, node) in nodes.into_iter().flatten() {
         let word = |key: &str| node.get(key).and_then(toml::Value::as_str);
         needs.machine |= word("on").is_some();
         if let Some(name) = word("type") {
             let name = name.rsplit('/').next().unwrap_or(name);
-            finds_instruments |= matches!(name, "yolo" | "mask_rcnn" | "onnx");
+            runs_network |= matches!(name, "yolo" | "mask_rcnn" | "onnx" | "stereo_net");
             needs.guard |= matches!(name, "arm_serial" | "arm_ur");
         }
         let Some(part) = word("graph").map(|file| folder.join(file)) else { continue };
         if let Some(text) = fs::read_to_string(&part).ok().filter(|_| depth > 0) {
-            finds_instruments |= add_needs(&text, part.parent().unwrap_or(folder), depth - 1, needs);
+            runs_network |= add_needs(&text, part.parent().unwrap_or(folder), depth - 1, needs);
         }
     }
-    finds_instruments
+    runs_network
 }
 
 /// An output file of a sink.
@@ -331,6 +331,7 @@ mod tests {
         assert!(!finds(GRAPH));
         assert!(finds("[nodes.find]\ntype = \"yolo\"\n"));
         assert!(finds("[nodes.find]\ntype = \"tools/mask_rcnn\"\n"));
+        assert!(finds("[nodes.match]\ntype = \"stereo_net\"\n"));
         let graphs = Workspace::locate().unwrap().root.join("graphs");
         let of = |name: &str| needs(&fs::read_to_string(graphs.join(name)).unwrap(), &graphs);
         for (name, expected) in [("tools_masks.toml", true), ("surgeon.toml", true), ("panorama.toml", false)] {

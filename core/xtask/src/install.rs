@@ -56,7 +56,7 @@ pub fn install(workspace: &Workspace, dir: &Path, profile: Profile, symbols: Sym
     println!("{}", dir.join("bin").join(program_name()).display());
     runtime.map(drop).with_context(|| {
         format!(
-            "everything is in {} but ONNX Runtime, so `yolo`, `mask_rcnn` and `onnx` do not open: run this again, or name its library in \
+            "everything is in {} but ONNX Runtime, so `yolo`, `mask_rcnn`, `onnx` and `stereo_net` do not open: run this again, or name its library in \
              ORT_DYLIB_PATH when you run graphs with them",
             dir.display()
         )

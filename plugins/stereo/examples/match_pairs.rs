@@ -1,7 +1,7 @@
 //! Matches gray pairs for the training of `stereo_net`: `match_pairs WIDTH HEIGHT`, pairs on standard input, maps on standard output.
 //!
-//! A pair is the bytes of the left view, then of the right one. For each come six maps as little-endian i16 in 1/64 px, `i16::MIN` where unknown: of the
-//! left and right view by block matching, by block matching of views shrunk by two, and by the semi-global matcher, each with the settings of its node.
+//! A pair is the bytes of the left view, then of the right one. For each come three maps of the left view as little-endian i16 in 1/64 px, `i16::MIN`
+//! where unknown: by block matching, by block matching of views shrunk by two, and by the semi-global matcher, each with the settings of its node.
 
 use std::io::{Read, Write};
 
@@ -19,12 +19,12 @@ const STEPS: f32 = 64.0;
 /// Speckles that `graphs/parts/stereo_depth.toml` removes, px.
 const SPECKLE_AREA_PX: usize = 200;
 
-/// Both maps of a pair, by a kernel with the search of its node.
+/// The left map of a pair, by a kernel with the search of its node.
 fn maps<K: StereoKernel>(
     kernel: &mut K,
     views: [View<'_, u8>; 2],
     (search_px, speckle_area_px): (usize, usize),
-) -> std::result::Result<[Vec<f32>; 2], StereoError> {
+) -> std::result::Result<Vec<f32>, StereoError> {
     let (width, height) = (views[0].width, views[0].height);
     let search = SearchParams {
         auto_offset: true,
@@ -35,9 +35,7 @@ fn maps<K: StereoKernel>(
         drift_px: 0.0,
     };
     let params = PairParams { search, left_right_px: Some(1), speckle_area_px };
-    let mut made = [vec![f32::NAN; width * height], vec![f32::NAN; width * height]];
-    let [left, right] = &mut made;
-    let map = |data| ViewMut::new(data, width, height, 1);
+    let mut made = vec![f32::NAN; width * height];
     let roi = Rect::whole(width, height);
     // A new matcher for each pair: the next one shows another scene.
     let mut matcher = PairMatcher::new()?;
@@ -48,14 +46,14 @@ fn maps<K: StereoKernel>(
         roi,
         &params,
         &Serial,
-        map(&mut left[..]),
-        Some(map(&mut right[..])),
+        ViewMut::new(&mut made[..], width, height, 1),
+        None,
     )?;
     Ok(made)
 }
 
-/// Maps of views shrunk by two, in full size.
-fn shrunk(views: [View<'_, u8>; 2]) -> std::result::Result<[Vec<f32>; 2], StereoError> {
+/// The left map of views shrunk by two, in full size.
+fn shrunk(views: [View<'_, u8>; 2]) -> std::result::Result<Vec<f32>, StereoError> {
     let mut small = [GrayBuffer::new(), GrayBuffer::new()];
     for (view, small) in views.into_iter().zip(&mut small) {
         shrink_gray(view, 2, small, &Serial);
@@ -63,14 +61,11 @@ fn shrunk(views: [View<'_, u8>; 2]) -> std::result::Result<[Vec<f32>; 2], Stereo
     let mut kernel = BlockMatcher::new(BlockMatchingParams { block_px: 7, ..Default::default() })?;
     let made = maps(&mut kernel, small.each_ref().map(GrayBuffer::view), (64, 0))?;
     let columns = views[0].width / 2;
-    let enlarge = |map: Vec<f32>| {
-        let at = |index: usize| {
-            let (x, y) = (index % views[0].width / 2, index / views[0].width / 2);
-            if x < columns { map.get(y * columns + x).map_or(f32::NAN, |value| 2.0 * value) } else { f32::NAN }
-        };
-        (0..views[0].width * views[0].height).map(at).collect()
+    let at = |index: usize| {
+        let (x, y) = (index % views[0].width / 2, index / views[0].width / 2);
+        if x < columns { made.get(y * columns + x).map_or(f32::NAN, |value| 2.0 * value) } else { f32::NAN }
     };
-    Ok(made.map(enlarge))
+    Ok((0..views[0].width * views[0].height).map(at).collect())
 }
 
 fn main() -> Result<()> {
@@ -93,7 +88,7 @@ fn main() -> Result<()> {
             let value = if value.is_finite() { (value * STEPS).round() as i16 } else { i16::MIN };
             value.to_le_bytes()
         };
-        let packed: Vec<u8> = made.iter().flatten().flat_map(|map| map.iter().flat_map(steps)).collect();
+        let packed: Vec<u8> = made.iter().flatten().flat_map(steps).collect();
         output.write_all(&packed)?;
         output.flush()?;
     }

@@ -1,8 +1,9 @@
 //! Finds surgical instruments: boxes, masks, tips.
 //!
 //! `yolo` runs a detector, `mask_rcnn` a segmenting model; both read common exports through ONNX Runtime. `onnx` runs any other network according to
-//! a table. `tool_tip` finds the tip of the instrument in their results, `tip_track` follows it over time. `skill` measures how skilfully tips are
-//! moved, `proximity` their distance to tissue and to each other; `evaluate_proximity` evaluates its warnings, `evaluate_detections` boxes.
+//! a table, `stereo_net` the stereo network that ships. `tool_tip` finds the tip of the instrument in their results, `tip_track` follows it over
+//! time. `skill` measures how skilfully tips are moved, `proximity` their distance to tissue and to each other; `evaluate_proximity` evaluates its
+//! warnings, `evaluate_detections` boxes.
 
 pub mod calibration;
 pub mod candidates;
@@ -28,6 +29,7 @@ pub mod session;
 pub mod shaft;
 pub mod silhouette;
 pub mod skill;
+pub mod stereo_net;
 pub mod tip_position;
 pub mod tip_track;
 pub mod tool_tip;
@@ -40,6 +42,7 @@ export_plugin![
     yolo::Yolo,
     mask_rcnn::MaskRcnn,
     onnx::Onnx,
+    stereo_net::StereoNet,
     tool_tip::ToolTip,
     tip_track::TipTrack,
     skill::Skill,

@@ -8,6 +8,7 @@ mod hostile_models;
 mod moving_tips;
 mod odd_models;
 mod onnx_node;
+mod stereo_net;
 mod tiny_onnx;
 mod tips;
 mod training;

@@ -53,6 +53,6 @@ fn the_segmenter_passes_its_tests() {
 }
 
 #[test]
-fn the_refiner_of_disparities_passes_its_tests() {
-    passes_in("../stereo/training", "test_refiner", &["torch", "cv2", "numpy", "onnx", "onnxruntime"]);
+fn the_stereo_network_passes_its_tests() {
+    passes_in("../stereo/training", "test_matcher", &["torch", "cv2", "numpy", "onnx", "onnxruntime"]);
 }

@@ -20,7 +20,7 @@ MAX_SLOPE = 0.45
 class Pair:
     """One rendered pair."""
 
-    left: np.ndarray  # gray, uint8, rows x columns
+    left: np.ndarray  # RGB, uint8, rows x columns x 3
     right: np.ndarray
     disparity: np.ndarray  # of the left view, float32, px, known everywhere
     visible: np.ndarray  # 1 where the right view shows the same point, uint8
@@ -33,7 +33,8 @@ class Layer:
 
     disparity: np.ndarray  # px
     inside_px: np.ndarray  # distance from the edge of the shape, positive inside
-    texture: np.ndarray  # 0 to 1
+    texture: np.ndarray  # gray, 0 to 1
+    tint: np.ndarray  # exponent of the gray value for red, green and blue: black and white keep no colour
 
 
 def log_uniform(rng, low, high):
@@ -92,6 +93,20 @@ def texture(rng, size):
         patch = 1 / (1 + np.exp(-6 * (noise(rng, size, log_uniform(rng, 30, 120)) - rng.uniform(0.2, 1.2))))
         field = field * (1 - 0.9 * patch) - patch * rng.uniform(0.5, 2.0)
     return np.clip(mean + contrast * field, 0.0, 1.0).astype(np.float32)
+
+
+def tissue(rng):
+    """The tint of red, yellow or pale tissue, or of anything else."""
+    if rng.random() < 0.15:
+        return rng.uniform(0.7, 1.6, 3).astype(np.float32)
+    red = rng.uniform(0.3, 0.9)
+    green = rng.uniform(0.9, 1.7)
+    return np.float32([red, green, green * rng.uniform(0.85, 1.3)])
+
+
+def metal(rng):
+    """The tint of metal and plastic: nearly gray."""
+    return rng.uniform(0.85, 1.15, 3).astype(np.float32)
 
 
 def limited(disparity):
@@ -154,7 +169,7 @@ def instrument(rng, size, view_columns, base_px):
     whole = np.maximum(inside, np.maximum(*jaws))
     depth = base_px * (1 + rng.uniform(-0.1, 0.45) * (1 - along)) + 0.15 * np.sqrt(np.maximum(whole, 0) * radius)
     depth = cv2.GaussianBlur(depth.astype(np.float32), (0, 0), 3)
-    return Layer(limited(depth), whole, rod_texture(rng, size, whole, radius))
+    return Layer(limited(depth), whole, rod_texture(rng, size, whole, radius), metal(rng))
 
 
 def wire(rng, size, view_columns, base_px):
@@ -172,7 +187,7 @@ def wire(rng, size, view_columns, base_px):
         radius, centre = rng.uniform(15, 90), (rng.uniform(0, view_columns), rng.uniform(0, rows))
         inside = width - np.abs(np.hypot(x - centre[0], (y - centre[1]) * rng.uniform(0.5, 1.5)) - radius)
     inside = inside.astype(np.float32)
-    return Layer(surface(rng, size, base_px, rng.uniform(0, 15)), inside, rod_texture(rng, size, inside, width))
+    return Layer(surface(rng, size, base_px, rng.uniform(0, 15)), inside, rod_texture(rng, size, inside, width), metal(rng))
 
 
 def patch(rng, size, view_columns, base_px, spread_px):
@@ -190,14 +205,14 @@ def patch(rng, size, view_columns, base_px, spread_px):
     else:
         middle, radius = (rng.uniform(0, view_columns), rng.uniform(0, rows)), log_uniform(rng, 12, 120)
         inside = radius - np.hypot(x - middle[0], (y - middle[1]) * rng.uniform(0.4, 1.6)) + rng.uniform(0, 8) * noise(rng, size, 30)
-    return Layer(surface(rng, size, base_px, spread_px), inside.astype(np.float32), texture(rng, size))
+    return Layer(surface(rng, size, base_px, spread_px), inside.astype(np.float32), texture(rng, size), tissue(rng))
 
 
 def layers(rng, size, view_columns, max_px):
     """Background first, then what stands before it."""
     base = log_uniform(rng, 3, 0.6 * max_px)
-    spread = log_uniform(rng, 0.02, 0.6) * base + rng.uniform(0, 4)
-    made = [Layer(surface(rng, size, base, spread), np.full(size, 9.0, np.float32), texture(rng, size))]
+    spread = log_uniform(rng, 0.04, 0.8) * base + rng.uniform(0, 4)
+    made = [Layer(surface(rng, size, base, spread), np.full(size, 9.0, np.float32), texture(rng, size), tissue(rng))]
     near = float(made[0].disparity.max())
     for _ in range(rng.integers(0, 5)):
         jump = min(log_uniform(rng, 1.0, 60), 0.8 * max_px - near)
@@ -235,6 +250,24 @@ def paint(made, shape, columns_of=None):
     return gray, disparity, index
 
 
+def falling_light(rng, disparity):
+    """Light that falls off with the distance, as that of a lamp beside the lens does: far walls are dark."""
+    power = rng.uniform(0.3, 2.0)
+    bright = float(np.quantile(disparity[0][::4, ::4], rng.uniform(0.5, 1.0)))
+    return [np.clip(plane / max(bright, 1.0), 0.02, 1.5) ** power for plane in disparity]
+
+
+def shade(rng, other):
+    """A region that little light reaches, on the surfaces of both views."""
+    rows, columns = other.shape
+    x, y = grid(other.shape)
+    wide = (rows, 2 * columns)
+    depth = log_uniform(rng, 0.01, 0.3)
+    field = 1 / (1 + np.exp(-rng.uniform(2, 10) * (noise(rng, wide, log_uniform(rng, 60, 250)) - rng.uniform(-0.5, 1))))
+    field = 1 - (1 - depth) * field
+    return field[:, :columns], cv2.remap(field, x + other, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
 def highlights(rng, left, right, disparity):
     """Saturated spots that do not stick to the surface."""
     rows, columns = left.shape
@@ -251,16 +284,22 @@ def highlights(rng, left, right, disparity):
             view += rng.uniform(0.4, 1.5) * np.exp(-((a / long) ** 2 + (b / (long * flat)) ** 2))
 
 
-def disturb(rng, left, right, disparity):
+def disturb(rng, left, right, disparity, other):
     """What light, optics and cameras do, to each view by itself."""
     shape = left.shape
     rows, columns = shape
     light = 1 + rng.uniform(0, 0.35) * noise(rng, (rows, columns), 150)
     left *= light
     right *= light + rng.uniform(0, 0.05) * noise(rng, shape, 120)
+    if rng.random() < 0.35:
+        for view, fall in zip((left, right), falling_light(rng, (disparity, other))):
+            view *= fall
+    if rng.random() < 0.3:
+        for view, fall in zip((left, right), shade(rng, other)):
+            view *= fall
     if rng.random() < 0.5:
         highlights(rng, left, right, disparity)
-    if rng.random() < 0.2:
+    if rng.random() < 0.3:
         wide = (rows, columns + 64)
         veil = np.clip(0.5 + 0.5 * fractal(rng, wide, 200, 4, 0.6), 0, 1) * rng.uniform(0.1, 0.75)
         shift, white = rng.integers(0, 60), rng.uniform(0.4, 0.9)
@@ -270,8 +309,8 @@ def disturb(rng, left, right, disparity):
     x, y = grid(shape)
     vignette = rng.uniform(0, 0.9) if rng.random() < 0.5 else 0.0
     fall = 1 - vignette * (((x / columns - 0.5) ** 2 + (y / rows - 0.5) ** 2) * 2).clip(0, 1)
-    dark = log_uniform(rng, 0.08, 0.5) if rng.random() < 0.2 else 1.0
-    gain = rng.uniform(0.85, 1.15, 2) if rng.random() < 0.7 else np.ones(2)
+    dark = log_uniform(rng, 0.05, 0.5) if rng.random() < 0.25 else 1.0
+    gain = np.exp(rng.normal(0, 0.15, 2)) if rng.random() < 0.7 else np.ones(2)
     offset = rng.normal(0, 0.02, 2)
     drift = rng.uniform(-1, 1) if rng.random() < 0.4 else 0.0
     turn = np.deg2rad(rng.normal(0, 0.05)) if drift else 0.0
@@ -303,11 +342,23 @@ def rim(rng, shape):
     return (x > low[0] * columns) & (x < high[0] * columns) & (y > low[1] * rows) & (y < high[1] * rows)
 
 
+def coloured(view, index, made, rng):
+    """RGB of a gray view by the tints of its layers, with a white balance of its own."""
+    steps = np.linspace(0, 1, 256, dtype=np.float32)
+    tables = np.stack([steps[:, None] ** layer.tint for layer in made])
+    gray = view.clip(0, 1)
+    low = np.minimum((gray * 255).astype(np.int32), 254)
+    part = (gray * 255 - low)[..., None]
+    rgb = tables[index, low] * (1 - part) + tables[index, low + 1] * part
+    return rgb * np.exp(rng.normal(0, 0.03, 3)).astype(np.float32)
+
+
 def to_bytes(view, rng):
-    gray = np.rint(view * 255).clip(0, 255).astype(np.uint8)
+    rgb = np.rint(view * 255).clip(0, 255).astype(np.uint8)
     if rng.random() < 0.2:
-        gray = cv2.imdecode(cv2.imencode(".jpg", gray, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(45, 95))])[1], 0)
-    return gray
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(45, 95))]
+        rgb = cv2.imdecode(cv2.imencode(".jpg", rgb, quality)[1], cv2.IMREAD_COLOR)
+    return rgb
 
 
 def render(seed, rows=336, columns=448):
@@ -330,14 +381,15 @@ def render(seed, rows=336, columns=448):
     near = lambda plane: cv2.remap(plane, to, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=-1)
     same = (near(other_index.astype(np.float32)) == index) & (np.abs(near(other) - disparity) < 1.5)
     visible = same & (to >= 0)
-    views = disturb(rng, left, right, disparity)
+    views = disturb(rng, left, right, disparity, other)
+    views = [coloured(view, which, made, rng) for view, which in zip(views, (index, other_index))]
     lit = np.ones((rows, columns), bool)
-    if rng.random() < 0.25:
+    if rng.random() < 0.4:
         lit = rim(rng, (rows, columns))
         black = rng.uniform(0, 0.02)
         move = np.float32([[1, 0, rng.uniform(-25, 25)], [0, 1, rng.uniform(-2, 2)]])
         other_lit = cv2.warpAffine(lit.astype(np.uint8), move, (columns, rows)) > 0
         for view, part in zip(views, (lit, other_lit)):
-            view[~part] = black + 0.004 * rng.standard_normal(int((~part).sum()))
+            view[~part] = black + 0.004 * rng.standard_normal((int((~part).sum()), 3))
     left, right = (to_bytes(view, rng) for view in views)
     return Pair(left, right, disparity, visible.astype(np.uint8), lit.astype(np.uint8))

@@ -1,1 +1,0 @@
-"""What the scripts that train the refiner `stereo_net` share."""
