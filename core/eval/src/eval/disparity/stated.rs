@@ -1,11 +1,15 @@
 //! Depths and lengths measured on a map as the node `measure` does, with the errors that it states, beside the truth.
+//!
+//! A rendering's calibration is exact, a user's is not. So each point is measured by calibrations that are wrong by what [`Noise`] says, too: bounds that hold
+//! for a match alone say nothing of those that people see.
 
 use std::path::Path;
 
+use panoscope_base::random::SplitMix64;
 use panoscope_imaging::stereo::SurfacePoint;
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
 
-use super::synthetic::{BASELINE_MM, CENTRE, FOCAL_PX, SIZE, SyntheticView};
+use super::synthetic::{BASELINE_MM, FOCAL_PX, SyntheticView, centre};
 use crate::error::Result;
 use crate::plot::{self, Chart, Series, Style};
 use crate::statistics::percentile;
@@ -16,6 +20,8 @@ const POINTS_PX: usize = 24;
 const LENGTH_STEPS: (usize, usize) = (4, 2);
 /// Radius of the surface around a point, px: that of the node `measure`.
 const RADIUS_PX: usize = 4;
+/// Calibrations by which each point is measured.
+const CALIBRATIONS: usize = 32;
 /// Fewest measurements of a part of the reliability plot.
 const MIN_PART: usize = 20;
 
@@ -30,11 +36,20 @@ pub struct Bounded {
     bound_mm: f64,
 }
 
+/// All measurements of one kind: depths, or lengths.
+#[derive(Clone, Debug, Default)]
+pub struct Measurements {
+    /// By calibrations that are as wrong as [`Noise::USUAL`] says, with the whole bound.
+    pub whole: Vec<Bounded>,
+    /// By the exact calibration, with the bound of the match alone.
+    pub matched: Vec<Bounded>,
+}
+
 /// All measurements on the maps of one chain.
 #[derive(Clone, Debug, Default)]
 pub struct Stated {
-    pub depths: Vec<Bounded>,
-    pub lengths: Vec<Bounded>,
+    pub depths: Measurements,
+    pub lengths: Measurements,
 }
 
 /// Share of the errors within `factor` times their bound, percent.
@@ -47,35 +62,81 @@ fn quantile(all: &[Bounded], share: f64, of: fn(&Bounded) -> f64) -> f64 {
     percentile(&all.iter().map(of).collect::<Vec<_>>(), share)
 }
 
+/// What a calibration says of the rig.
+#[derive(Clone, Copy)]
+struct Rig {
+    focal_px: f64,
+    baseline_mm: f64,
+    /// Of all disparities.
+    offset_px: f64,
+}
+
+impl Rig {
+    const EXACT: Self = Self { focal_px: FOCAL_PX, baseline_mm: BASELINE_MM, offset_px: 0.0 };
+
+    /// As a calibration with these errors has it.
+    fn draw(noise: &Noise, random: &mut SplitMix64) -> Self {
+        // The sum of twelve even numbers is nearly normal, of standard deviation 1.
+        let mut normal = || (0..12).map(|_| (random.bits() >> 11) as f64 / (1u64 << 53) as f64).sum::<f64>() - 6.0;
+        Self {
+            focal_px: FOCAL_PX * (1.0 + normal() * noise.focal_percent / 100.0),
+            baseline_mm: BASELINE_MM + normal() * noise.baseline_mm,
+            offset_px: normal() * noise.offset_px,
+        }
+    }
+
+    /// A point of the exact rig, as this one has it.
+    fn sees(&self, point: &SurfacePoint) -> SurfacePoint {
+        let per_px = 1.0 / (self.focal_px * self.baseline_mm);
+        let scale = per_px * FOCAL_PX * BASELINE_MM;
+        SurfacePoint {
+            ray: point.ray.map(|part| part * FOCAL_PX / self.focal_px),
+            inverse_depth: point.inverse_depth * scale + self.offset_px * per_px,
+            scatter: point.scatter * scale,
+            ..*point
+        }
+    }
+}
+
+/// A point of the exact rig, and where it truly is, mm.
+type Known = (SurfacePoint, [f64; 3]);
+
+impl Measurements {
+    /// Measures what the points show.
+    fn add(&mut self, known: &[Known], rigs: &[Rig], measure: fn(&[[f64; 3]]) -> f64) {
+        let truth: Vec<[f64; 3]> = known.iter().map(|(_, truth)| *truth).collect();
+        let bounded = |rig: &Rig, noise: &Noise| {
+            let points: Vec<SurfacePoint> = known.iter().map(|(point, _)| rig.sees(point)).collect();
+            let errors = Errors::of(rig.focal_px, rig.baseline_mm, f64::NAN, noise);
+            let (found_mm, bound_mm) = length::with_error(&points, Some(&errors), measure);
+            let true_mm = measure(&truth);
+            Bounded { true_mm, error_mm: (found_mm - true_mm).abs(), bound_mm }
+        };
+        let exact = Noise { offset_px: 0.0, baseline_mm: 0.0, focal_percent: 0.0, ..Noise::USUAL };
+        self.matched.push(bounded(&Rig::EXACT, &exact));
+        self.whole.extend(rigs.iter().map(|rig| bounded(rig, &Noise::USUAL)));
+    }
+
+    fn extend(&mut self, other: Self) {
+        self.whole.extend(other.whole);
+        self.matched.extend(other.matched);
+    }
+}
+
 impl Stated {
-    /// Measures on a map of the left view, with the confidence of its filter where there is one.
-    pub fn add(&mut self, left: &SyntheticView, found: &[f32], trust: Option<&[f32]>) {
-        let per_px = 1.0 / (FOCAL_PX * BASELINE_MM);
-        let errors = Errors::of(FOCAL_PX, BASELINE_MM, f64::NAN, &Noise::USUAL);
-        let ray = |x: usize, y: usize| [(x as f64 - CENTRE.0) / FOCAL_PX, (y as f64 - CENTRE.1) / FOCAL_PX];
-        let sample = |map: &[f32], x: usize, y: usize| {
-            let d = map[y * SIZE.0 + x];
-            let [u, v] = ray(x, y);
-            (d > 0.0).then(|| [u, v, f64::from(d) * per_px])
-        };
-        let mut work = Vec::new();
-        let mut at = |x: usize, y: usize| {
-            let is_seen = x < SIZE.0 && y < SIZE.1 && left.visible[y * SIZE.0 + x] != 0;
-            let point = SurfacePoint::at(SIZE, [x as f64, y as f64], RADIUS_PX, &mut work, |x, y| sample(found, x, y));
-            let [u, v, inverse] = is_seen.then(|| sample(&left.disparity, x, y))??;
-            // What is measured is the surface under the pixel: no point where the map has none.
-            sample(found, x, y)?;
-            let point = point.map(|point| trust.map_or(point, |trust| point.trusted(trust[y * SIZE.0 + x])));
-            Some((point?, [u / inverse, v / inverse, 1.0 / inverse]))
-        };
-        for y in (POINTS_PX..SIZE.1).step_by(POINTS_PX) {
-            for x in (POINTS_PX..SIZE.0).step_by(POINTS_PX) {
-                let Some((point, truth)) = at(x, y) else { continue };
-                self.depths.push(bounded(&[point], &[truth], &errors, length::depth));
-                let end = (x + LENGTH_STEPS.0 * POINTS_PX, y + LENGTH_STEPS.1 * POINTS_PX);
-                if let Some((other, other_truth)) = at(end.0, end.1) {
-                    self.lengths.push(bounded(&[point, other], &[truth, other_truth], &errors, length::distance));
-                }
+    /// Measures on a map of the left view, with the confidence of its filter where there is one. `seed` gives the errors of the calibrations.
+    pub fn add(&mut self, left: &SyntheticView, found: &[f32], trust: Option<&[f32]>, seed: u64) {
+        let mut random = SplitMix64(seed);
+        let rigs: Vec<Rig> = (0..CALIBRATIONS).map(|_| Rig::draw(&Noise::USUAL, &mut random)).collect();
+        let known = points(left, found, trust);
+        let columns = (POINTS_PX..left.size.0).step_by(POINTS_PX).len();
+        for (index, point) in known.iter().enumerate() {
+            let Some(point) = point else { continue };
+            self.depths.add(&[*point], &rigs, length::depth);
+            let is_inside = index % columns + LENGTH_STEPS.0 < columns;
+            let end = known.get(index + LENGTH_STEPS.0 + LENGTH_STEPS.1 * columns).copied().flatten();
+            if let Some(end) = end.filter(|_| is_inside) {
+                self.lengths.add(&[*point, end], &rigs, length::distance);
             }
         }
     }
@@ -89,7 +150,8 @@ impl Stated {
 
     /// Name, value and unit of each figure.
     pub fn figures(&self) -> Vec<(&'static str, f64, &'static str)> {
-        let (depths, lengths) = (&self.depths, &self.lengths);
+        let (depths, lengths) = (&self.depths.whole, &self.lengths.whole);
+        let (depths_matched, lengths_matched) = (&self.depths.matched, &self.lengths.matched);
         let ratio = |all: &[Bounded]| quantile(all, 0.5, |m| m.bound_mm) / quantile(all, 0.5, |m| m.error_mm);
         let mean = |all: &[Bounded], of: fn(&Bounded) -> f64| {
             100.0 * all.iter().map(|m| of(m) / m.true_mm).sum::<f64>() / all.len() as f64
@@ -98,15 +160,24 @@ impl Stated {
             ("depth_within_stated", within(depths, 1.0), "%"),
             ("depth_stated_pct", mean(depths, |m| m.bound_mm), "%"),
             ("depth_stated_by_median_error", ratio(depths), "1"),
+            ("depth_match_within_stated", within(depths_matched, 1.0), "%"),
+            ("depth_match_stated_by_median_error", ratio(depths_matched), "1"),
             ("length_within_stated", within(lengths, 1.0), "%"),
-            ("length_error_pct", mean(lengths, |m| m.error_mm), "%"),
+            ("length_error_pct", mean(lengths_matched, |m| m.error_mm), "%"),
             ("length_stated_by_median_error", ratio(lengths), "1"),
+            ("length_match_within_stated", within(lengths_matched, 1.0), "%"),
+            ("length_match_stated_by_median_error", ratio(lengths_matched), "1"),
         ]
     }
 
     /// Draws how often bounds of other probabilities hold, and what errors the bounds of each size have.
     pub fn plot(&self, path: &Path) -> Result<()> {
-        let kinds = [("depths", &self.depths, 0), ("lengths", &self.lengths, 1)];
+        let kinds = [
+            ("depths", &self.depths.whole, 0),
+            ("lengths", &self.lengths.whole, 1),
+            ("depths, match alone", &self.depths.matched, 3),
+            ("lengths, match alone", &self.lengths.matched, 4),
+        ];
         let line = |name: &str, points: Vec<(f64, f64)>| Series {
             name: name.to_owned(),
             style: Style::Line,
@@ -153,9 +224,29 @@ impl Stated {
     }
 }
 
-/// Measures points and compares with the same points of the truth.
-fn bounded(points: &[SurfacePoint], truth: &[[f64; 3]], errors: &Errors, measure: fn(&[[f64; 3]]) -> f64) -> Bounded {
-    let (found_mm, bound_mm) = length::with_error(points, Some(errors), measure);
-    let true_mm = measure(truth);
-    Bounded { true_mm, error_mm: (found_mm - true_mm).abs(), bound_mm }
+/// The points of a map every [`POINTS_PX`], row by row, `None` where the map, its surface or the right camera has none.
+fn points(left: &SyntheticView, found: &[f32], trust: Option<&[f32]>) -> Vec<Option<Known>> {
+    let per_px = 1.0 / (FOCAL_PX * BASELINE_MM);
+    let (size, middle) = (left.size, centre(left.size));
+    let ray = |x: usize, y: usize| [(x as f64 - middle.0) / FOCAL_PX, (y as f64 - middle.1) / FOCAL_PX];
+    let sample = |map: &[f32], x: usize, y: usize| {
+        let d = map[y * size.0 + x];
+        let [u, v] = ray(x, y);
+        (d > 0.0).then(|| [u, v, f64::from(d) * per_px])
+    };
+    let mut work = Vec::new();
+    let mut at = |x: usize, y: usize| {
+        let index = y * size.0 + x;
+        if left.visible[index] == 0 {
+            return None;
+        }
+        // What is measured is the surface under the pixel: no point where the map has none.
+        sample(found, x, y)?;
+        let point = SurfacePoint::at(size, [x as f64, y as f64], RADIUS_PX, &mut work, |x, y| sample(found, x, y))?;
+        let [u, v, inverse] = sample(&left.disparity, x, y)?;
+        Some((trust.map_or(point, |trust| point.trusted(trust[index])), [u / inverse, v / inverse, 1.0 / inverse]))
+    };
+    let columns = || (POINTS_PX..size.0).step_by(POINTS_PX);
+    let positions = (POINTS_PX..size.1).step_by(POINTS_PX).flat_map(|y| columns().map(move |x| (x, y)));
+    positions.map(|(x, y)| at(x, y)).collect()
 }

@@ -35,8 +35,8 @@ struct Errors {
 
 impl Errors {
     fn add(&mut self, SyntheticPair([left, _]): &SyntheticPair, found: &[f32]) {
-        let edges = near_edges(&left.disparity, synthetic::SIZE);
-        let objects = near_objects(&left.disparity, synthetic::SIZE);
+        let edges = near_edges(&left.disparity, left.size);
+        let objects = near_objects(&left.disparity, left.size);
         let (sum, count) = edge_errors(&edges, found, &left.disparity, |index| left.visible[index] != 0);
         self.edge_errors = (self.edge_errors.0 + sum, self.edge_errors.1 + count);
         for (index, (found, truth)) in found.iter().zip(&left.disparity).enumerate() {
@@ -101,16 +101,19 @@ impl Judge<'_> {
     /// All conditions with these seeds.
     pub fn synthetic(&mut self, case: &str, seeds: &[u64]) -> Result<()> {
         let pool = Threads::new(2);
-        let mut stated: Vec<(&'static str, Stated)> = Vec::new();
+        let mut all = Stated::default();
         for condition in &synthetic::CONDITIONS {
             check_cancelled(self.session)?;
-            stated.extend(self.condition(case, condition, seeds, &pool)?);
+            for (chain, stated) in self.condition(case, condition, seeds, &pool)? {
+                // The chain that lengths are measured on.
+                if chain == "depth" {
+                    all = all.joined(stated);
+                }
+            }
         }
-        // The chain that lengths are measured on.
-        stated.retain(|(chain, _)| *chain == "depth");
-        let all = stated.into_iter().fold(Stated::default(), |all, (_, stated)| all.joined(stated));
         for (measure, value, unit) in all.figures() {
-            let input = format!("all conditions; {} depths, {} lengths", all.depths.len(), all.lengths.len());
+            let input =
+                format!("all conditions; {} depths, {} lengths", all.depths.matched.len(), all.lengths.matched.len());
             self.add(format!("{measure}/{case}/depth"), value, unit, &input);
         }
         if let Some(folder) = self.pictures {
@@ -128,41 +131,39 @@ impl Judge<'_> {
     ) -> Result<Vec<(&'static str, Stated)>> {
         let name = condition.name;
         let mut all: Vec<(&'static str, Errors, Stated)> = Vec::new();
+        let mut view_size = (0, 0);
         for seed in seeds {
             let pair = synthetic::render(condition, *seed, pool);
             let SyntheticPair([left, right]) = &pair;
-            let (width, height) = synthetic::SIZE;
+            let size @ (width, height) = left.size;
+            view_size = size;
             let views = [left, right].map(|view| Picture::new(width, height, view.bgr.clone()));
             let own = self.own_graph(&views[0], &views[1])?;
             for made in chains::search(&views[0], &views[1], pool)?.into_iter().chain(own) {
                 if let Some(folder) = self.pictures {
                     let file = |kind: &str| folder.join(format!("{case}_{name}_{seed}_{}{kind}.png", made.chain));
-                    picture::map(&file(""), synthetic::SIZE, &made.disparity)?;
+                    picture::map(&file(""), size, &made.disparity)?;
                     let counts = |index: usize| left.visible[index] != 0;
-                    picture::errors(&file("_error"), synthetic::SIZE, &made.disparity, &left.disparity, counts)?;
+                    picture::errors(&file("_error"), size, &made.disparity, &left.disparity, counts)?;
                 }
                 let index = all.iter().position(|(chain, ..)| *chain == made.chain).unwrap_or_else(|| {
                     all.push((made.chain, Errors::default(), Stated::default()));
                     all.len() - 1
                 });
                 all[index].1.add(&pair, &made.disparity);
-                all[index].2.add(left, &made.disparity, made.confidence.as_deref());
+                all[index].2.add(left, &made.disparity, made.confidence.as_deref(), *seed);
             }
             if let Some(folder) = self.pictures {
-                picture::view(&folder.join(format!("{case}_{name}_{seed}_left.png")), synthetic::SIZE, &left.bgr)?;
-                picture::map(
-                    &folder.join(format!("{case}_{name}_{seed}_truth.png")),
-                    synthetic::SIZE,
-                    &left.disparity,
-                )?;
+                picture::view(&folder.join(format!("{case}_{name}_{seed}_left.png")), size, &left.bgr)?;
+                picture::map(&folder.join(format!("{case}_{name}_{seed}_truth.png")), size, &left.disparity)?;
             }
         }
         for (chain, errors, stated) in &mut all {
             let seeds: Vec<String> = seeds.iter().map(u64::to_string).collect();
             let input = format!(
                 "{name} {}x{}, seeds {}: {} px that both cameras see, {} hidden",
-                synthetic::SIZE.0,
-                synthetic::SIZE.1,
+                view_size.0,
+                view_size.1,
                 seeds.join(", "),
                 errors.pixels,
                 errors.hidden[0]
@@ -170,7 +171,8 @@ impl Judge<'_> {
             for (measure, value, unit) in errors.figures() {
                 self.add(format!("{measure}/{case}_{name}/{chain}"), value, unit, &input);
             }
-            let input = format!("{input}; {} depths, {} lengths", stated.depths.len(), stated.lengths.len());
+            let input =
+                format!("{input}; {} depths, {} lengths", stated.depths.matched.len(), stated.lengths.matched.len());
             for (measure, value, unit) in stated.figures() {
                 self.add(format!("{measure}/{case}_{name}/{chain}"), value, unit, &input);
             }

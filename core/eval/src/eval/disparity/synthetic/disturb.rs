@@ -3,10 +3,10 @@
 use panoscope_base::Parallel;
 use panoscope_base::random::{lattice, nth};
 
+use super::SyntheticView;
 use super::disturbance::Disturbance;
 use super::render::Rendered;
 use super::rows::fill_rows;
-use super::{SIZE, SyntheticView};
 
 /// Light of smoke, levels.
 const SMOKE_LEVEL: f32 = 185.0;
@@ -16,20 +16,21 @@ const SMOKE_PX: f64 = 130.0;
 /// Turns light into pictures.
 pub fn develop(views: [Rendered; 2], disturbance: Disturbance, seed: u64, pool: &dyn Parallel) -> [SyntheticView; 2] {
     let mut sides = [false, true].into_iter();
-    views.map(|Rendered { bgr: mut light, disparity, visible }| {
+    views.map(|Rendered { size, bgr: mut light, disparity, visible }| {
         let is_right = sides.next().unwrap_or_default();
         // Highlights burn out before the lens blurs them, as the sensor's wells do not overflow.
-        blur(&mut light, disturbance.blur_px(is_right), pool);
+        blur(&mut light, size, disturbance.blur_px(is_right), pool);
         let (gain, black) = disturbance.exposure(is_right);
         let noise = disturbance.noise();
         let salt = seed.wrapping_mul(2).wrapping_add(u64::from(is_right)) ^ 0x5e7;
         let mut bgr = vec![0; light.len()];
         for (index, (out, light)) in bgr.iter_mut().zip(&light).enumerate() {
-            let smoke = if disturbance == Disturbance::Smoke { thickness(index / 3, is_right, seed) } else { 0.0 };
+            let smoke =
+                if disturbance == Disturbance::Smoke { thickness(index / 3, size.0, is_right, seed) } else { 0.0 };
             let light = light * (1.0 - smoke) + SMOKE_LEVEL * smoke;
             *out = (gain * light + black + noise * gaussian(salt, index as u64)).round().clamp(0.0, 255.0) as u8;
         }
-        SyntheticView { bgr, disparity, visible }
+        SyntheticView { size, bgr, disparity, visible }
     })
 }
 
@@ -41,10 +42,10 @@ fn gaussian(seed: u64, index: u64) -> f32 {
 }
 
 /// Part of the light that smoke takes, 0.1 to 0.75.
-fn thickness(pixel: usize, is_right: bool, seed: u64) -> f32 {
+fn thickness(pixel: usize, width: usize, is_right: bool, seed: u64) -> f32 {
     const CELL_PX: f64 = 90.0;
     let shift = if is_right { SMOKE_PX } else { 0.0 };
-    let (x, y) = (((pixel % SIZE.0) as f64 + shift) / CELL_PX, (pixel / SIZE.0) as f64 / CELL_PX);
+    let (x, y) = (((pixel % width) as f64 + shift) / CELL_PX, (pixel / width) as f64 / CELL_PX);
     let (i, j) = (x.floor(), y.floor());
     let fade = |t: f64| t * t * (3.0 - 2.0 * t);
     let (u, v) = (fade(x - i), fade(y - j));
@@ -55,8 +56,7 @@ fn thickness(pixel: usize, is_right: bool, seed: u64) -> f32 {
 }
 
 /// Blurs interleaved BGR light with a Gaussian.
-fn blur(light: &mut [f32], sigma_px: f32, pool: &dyn Parallel) {
-    let (width, height) = SIZE;
+fn blur(light: &mut [f32], (width, height): (usize, usize), sigma_px: f32, pool: &dyn Parallel) {
     let radius = (3.0 * sigma_px).ceil() as usize;
     let weights: Vec<f32> = (0..=radius).map(|step| (-0.5 * (step as f32 / sigma_px).powi(2)).exp()).collect();
     let total: f32 = weights[0] + 2.0 * weights[1..].iter().sum::<f32>();

@@ -16,16 +16,15 @@ mod scenes;
 mod tests;
 mod texture;
 
-pub use camera::{BASELINE_MM, CENTRE, FOCAL_PX};
+pub use camera::{BASELINE_MM, FOCAL_PX, centre};
 pub use scenes::{CONDITIONS, Condition, HELD_OUT_SEEDS, TUNING_SEEDS};
 
 use panoscope_base::Parallel;
 
-/// Size of the views, px.
-pub const SIZE: (usize, usize) = (640, 480);
-
 /// One view with its truth.
 pub struct SyntheticView {
+    /// Columns and rows.
+    pub size: (usize, usize),
     /// Blue, green, red bytes, row by row.
     pub bgr: Vec<u8>,
     /// Exact disparity of the pixel's centre, px, positive; known everywhere.

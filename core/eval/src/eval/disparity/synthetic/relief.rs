@@ -147,6 +147,22 @@ pub enum Cover {
         /// Radians per px along the line.
         rate: f64,
     },
+    /// All rows from one on.
+    Rows {
+        /// The first row, px.
+        from: f64,
+    },
+    /// A rectangle, px.
+    Box {
+        /// First column.
+        left: f64,
+        /// First row.
+        top: f64,
+        /// Last column.
+        right: f64,
+        /// Last row.
+        bottom: f64,
+    },
 }
 
 impl Cover {
@@ -160,6 +176,8 @@ impl Cover {
                 let along = dy * into.0 - dx * into.1;
                 dx * into.0 + dy * into.1 > wave_px * (rate * along).sin()
             }
+            Self::Rows { from } => y >= *from,
+            Self::Box { left, top, right, bottom } => (*left..=*right).contains(&x) && (*top..=*bottom).contains(&y),
         }
     }
 }

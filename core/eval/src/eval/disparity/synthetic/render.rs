@@ -2,8 +2,7 @@
 
 use panoscope_base::Parallel;
 
-use super::SIZE;
-use super::camera::{BASELINE_MM, Point};
+use super::camera::{BASELINE_MM, Point, centre};
 use super::relief::Level;
 use super::rows::fill_rows;
 use super::scenes::{Layer, Scene};
@@ -17,6 +16,8 @@ const SAME_SURFACE_PX: f64 = 0.25;
 /// One view as rendered: light, not yet bytes.
 #[derive(Clone)]
 pub struct Rendered {
+    /// Columns and rows.
+    pub size: (usize, usize),
     /// Blue, green, red levels, not clipped.
     pub bgr: Vec<f32>,
     /// See [`super::SyntheticView`].
@@ -63,18 +64,18 @@ pub fn render(scene: &Scene, pool: &dyn Parallel) -> [Rendered; 2] {
 }
 
 fn view(scene: &Scene, is_right: bool, pool: &dyn Parallel) -> Rendered {
-    let (width, height) = SIZE;
+    let size @ (width, height) = scene.size;
     let mut bgr = vec![0.0; 3 * width * height];
     fill_rows(&mut bgr, 3 * width, pool, |row, pixels| {
         light_row(scene, is_right, row, pixels.as_chunks_mut::<3>().0);
     });
     let (disparity, visible) = truth(scene, is_right, pool);
-    Rendered { bgr, disparity, visible }
+    Rendered { size, bgr, disparity, visible }
 }
 
 /// Disparity and visibility of a view; see [`super::SyntheticView`].
 pub fn truth(scene: &Scene, is_right: bool, pool: &dyn Parallel) -> (Vec<f32>, Vec<u8>) {
-    let (width, height) = SIZE;
+    let (width, height) = scene.size;
     let mut pixels = vec![(0.0, 0); width * height];
     fill_rows(&mut pixels, width, pool, |row, pixels| truth_row(scene, is_right, row, pixels));
     pixels.into_iter().unzip()
@@ -85,6 +86,7 @@ fn light_row(scene: &Scene, is_right: bool, row: usize, pixels: &mut [[f32; 3]])
     let eye_x_mm = if is_right { BASELINE_MM } else { 0.0 };
     // A right camera whose calibration is wrong looks past its rows.
     let below_px = if is_right { scene.right_rows_px } else { 0.0 };
+    let middle = centre(scene.size);
     let mut columns = vec![0.0; scene.layers.len()];
     for step in 0..RAYS_ALONG {
         let offset = |step: usize| (step as f64 + 0.5) / RAYS_ALONG as f64 - 0.5;
@@ -99,7 +101,7 @@ fn light_row(scene: &Scene, is_right: bool, row: usize, pixels: &mut [[f32; 3]])
                     left_hit(&scene.layers, (x, y))
                 };
                 let Some(Hit { x, level, layer }) = hit else { continue };
-                let point = Point::new((x, y), level.d, (level.dx, level.dy));
+                let point = Point::new((x - middle.0, y - middle.1), level.d, (level.dx, level.dy));
                 for (sum, value) in pixel.iter_mut().zip(colour(&layer.material, &point, eye_x_mm)) {
                     *sum += (value / (RAYS_ALONG * RAYS_ALONG) as f64) as f32;
                 }
@@ -111,7 +113,7 @@ fn light_row(scene: &Scene, is_right: bool, row: usize, pixels: &mut [[f32; 3]])
 /// Disparity of each pixel's centre, and whether the other camera sees that point.
 fn truth_row(scene: &Scene, is_right: bool, row: usize, pixels: &mut [(f32, u8)]) {
     let y = row as f64;
-    let (layers, last) = (&scene.layers, SIZE.0 as f64 - 1.0);
+    let (layers, last) = (&scene.layers, scene.size.0 as f64 - 1.0);
     let mut columns = vec![0.0; layers.len()];
     let mut others = vec![0.0; layers.len()];
     for (column, (disparity, visible)) in pixels.iter_mut().enumerate() {

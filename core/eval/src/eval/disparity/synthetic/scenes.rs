@@ -2,8 +2,7 @@
 
 use panoscope_base::random::SplitMix64;
 
-use super::SIZE;
-use super::camera::CENTRE;
+use super::camera::centre;
 use super::disturbance::Disturbance;
 use super::relief::{Bar, Cover, Hill, Relief, Wave};
 use super::texture::{Material, Texture};
@@ -12,6 +11,11 @@ use super::texture::{Material, Texture};
 pub const TUNING_SEEDS: [u64; 3] = [1, 2, 3];
 /// Seeds that judge only: no parameter was chosen by them.
 pub const HELD_OUT_SEEDS: [u64; 3] = [101, 102, 103];
+
+/// Columns and rows of the views of tissue.
+pub const SIZE: (usize, usize) = (640, 480);
+/// Columns and rows of the views of a street: those of KITTI.
+const STREET_SIZE: (usize, usize) = (1242, 375);
 
 /// Shapes of scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +28,8 @@ pub enum Shapes {
     Thin,
     /// A far ground, a hill, a fold and two instruments: 20 to 199 px.
     Range,
+    /// A road to far walls, a car 5 to 6 m away (by the baseline of a car's cameras) and one further off: 5 to 80 px.
+    Street,
 }
 
 /// What is rendered.
@@ -44,7 +50,7 @@ const fn condition(name: &'static str, shapes: Shapes, texture: Texture, disturb
 }
 
 /// All conditions. The disturbances have the scenes of `thin`, so that each can be compared with it.
-pub const CONDITIONS: [Condition; 14] = [
+pub const CONDITIONS: [Condition; 15] = [
     condition("fractal", Shapes::Smooth, Texture::Fractal, Disturbance::None),
     condition("vessels", Shapes::Smooth, Texture::Vessels, Disturbance::None),
     condition("faint", Shapes::Smooth, Texture::Faint, Disturbance::None),
@@ -59,6 +65,7 @@ pub const CONDITIONS: [Condition; 14] = [
     condition("smoke", Shapes::Thin, Texture::Tissue, Disturbance::Smoke),
     condition("blood", Shapes::Thin, Texture::Tissue, Disturbance::Blood),
     condition("highlights", Shapes::Thin, Texture::Tissue, Disturbance::Highlights),
+    condition("street", Shapes::Street, Texture::Asphalt, Disturbance::None),
 ];
 
 /// A surface.
@@ -75,6 +82,8 @@ pub struct Layer {
 /// What both cameras see.
 #[derive(Clone, Debug)]
 pub struct Scene {
+    /// Columns and rows of both views.
+    pub size: (usize, usize),
     /// Surfaces in any order.
     pub layers: Vec<Layer>,
     /// How far the right camera looks past its rows, px.
@@ -121,7 +130,7 @@ pub fn scene(condition: &Condition, seed: u64) -> Scene {
             let side = draw.sign();
             let mut plane = |side: f64| Relief {
                 level_px: draw.between(90.0, 105.0),
-                origin: CENTRE,
+                origin: centre(SIZE),
                 slope: (side * draw.between(0.1, 0.16), draw.between(-0.1, 0.1)),
                 ..Relief::default()
             };
@@ -139,14 +148,16 @@ pub fn scene(condition: &Condition, seed: u64) -> Scene {
             layers.push(instrument(&mut draw, (105.0, 125.0), 190.0, metal));
             layers
         }
+        Shapes::Street => street(&mut draw, material),
     };
-    Scene { layers, right_rows_px: condition.disturbance.right_rows_px() }
+    let size = if condition.shapes == Shapes::Street { STREET_SIZE } else { SIZE };
+    Scene { size, layers, right_rows_px: condition.disturbance.right_rows_px() }
 }
 
 fn smooth(draw: &mut Draw) -> Relief {
     Relief {
         level_px: draw.between(65.0, 95.0),
-        origin: CENTRE,
+        origin: centre(SIZE),
         slope: (draw.between(-0.04, 0.04), draw.between(-0.04, 0.04)),
         waves: draw.waves(3, (2.0, 5.0), (180.0, 350.0)),
         hills: vec![Hill {
@@ -161,7 +172,7 @@ fn smooth(draw: &mut Draw) -> Relief {
 fn back(draw: &mut Draw) -> Relief {
     Relief {
         level_px: draw.between(45.0, 55.0),
-        origin: CENTRE,
+        origin: centre(SIZE),
         slope: (draw.between(-0.02, 0.02), draw.between(-0.02, 0.02)),
         waves: draw.waves(2, (2.0, 4.0), (180.0, 350.0)),
         hills: vec![Hill {
@@ -176,7 +187,7 @@ fn back(draw: &mut Draw) -> Relief {
 fn far(draw: &mut Draw) -> Relief {
     Relief {
         level_px: draw.between(36.0, 42.0),
-        origin: CENTRE,
+        origin: centre(SIZE),
         slope: (draw.sign() * draw.between(0.012, 0.02), draw.sign() * draw.between(0.02, 0.03)),
         waves: draw.waves(2, (0.5, 2.0), (180.0, 350.0)),
         hills: vec![Hill {
@@ -192,7 +203,7 @@ fn far(draw: &mut Draw) -> Relief {
 fn fold(draw: &mut Draw, material: Material) -> Layer {
     let turn = draw.between(-0.25, 0.25);
     let into = (turn.sin(), turn.cos());
-    let at = (CENTRE.0, draw.between(370.0, 410.0));
+    let at = (centre(SIZE).0, draw.between(370.0, 410.0));
     let cover = Cover::Side { at, into, wave_px: draw.between(8.0, 16.0), rate: 0.02 };
     let relief = Relief {
         level_px: draw.between(85.0, 100.0),
@@ -248,4 +259,59 @@ fn wire(draw: &mut Draw, material: Material) -> Layer {
         ..Relief::default()
     };
     Layer { relief, cover: Cover::Bar(bar), material }
+}
+
+/// The road's disparity where it ends at the walls, its row there, and its growth per row.
+const ROAD: (f64, f64, f64) = (5.0, 172.0, 0.37);
+
+/// A road, walls behind it, and two cars of smooth paint with dark glass.
+fn street(draw: &mut Draw, road: Material) -> Vec<Layer> {
+    let mut material = |texture: Texture| Material { texture, seed: draw.0.bits(), ..road };
+    let [wall, dark, bright, glass] =
+        [Texture::Fractal, Texture::DarkPaint, Texture::BrightPaint, Texture::Glass].map(&mut material);
+    let flat = |level_px: f64| Relief { level_px, ..Relief::default() };
+    let slope = Relief { level_px: ROAD.0, origin: (0.0, ROAD.1), slope: (0.0, ROAD.2), ..Relief::default() };
+    let mut layers = vec![
+        Layer { relief: flat(ROAD.0), cover: Cover::All, material: wall },
+        Layer { relief: slope, cover: Cover::Rows { from: ROAD.1 }, material: road },
+    ];
+    let near = (draw.between(550.0, 850.0), draw.between(64.0, 72.0));
+    car(near, dark, glass, &mut layers);
+    let far = (draw.between(300.0, 400.0), draw.between(22.0, 28.0));
+    car(far, bright, glass, &mut layers);
+    layers
+}
+
+/// A car seen from behind and from its left: `at` is the column of its left rear edge and the disparity of its rear.
+fn car((column, d): (f64, f64), paint: Material, glass: Material, layers: &mut Vec<Layer>) {
+    // Sizes are those of a car for a baseline of 0.54 m: 1.75 m wide, 1.45 m high, 3.8 m long.
+    let metre = d / 0.54;
+    let (width, height) = (1.75 * metre, 1.45 * metre);
+    let bottom = ROAD.1 + (d - ROAD.0) / ROAD.2;
+    let (top, end) = (bottom - height, 0.6 * d);
+    let side = 0.4 * metre;
+    let rear = Relief { level_px: d, ..Relief::default() };
+    // The side ends further away.
+    let side_relief =
+        Relief { level_px: d, origin: (column, 0.0), slope: ((d - end) / side, 0.0), ..Relief::default() };
+    let boxed = |left: f64, top: f64, right: f64, bottom: f64| Cover::Box { left, top, right, bottom };
+    // Glass lies before the paint by less than anything can show.
+    let before = |relief: &Relief| Relief { level_px: relief.level_px + 0.02, ..relief.clone() };
+    let sill = top + 0.42 * height;
+    layers.push(Layer { relief: rear.clone(), cover: boxed(column, top, column + width, bottom), material: paint });
+    layers.push(Layer {
+        relief: before(&rear),
+        cover: boxed(column + 0.1 * width, top + 0.08 * height, column + 0.9 * width, sill),
+        material: glass,
+    });
+    layers.push(Layer {
+        relief: side_relief.clone(),
+        cover: boxed(column - side, top + 0.1 * height, column, bottom),
+        material: Material { seed: paint.seed ^ 1, ..paint },
+    });
+    layers.push(Layer {
+        relief: before(&side_relief),
+        cover: boxed(column - 0.85 * side, top + 0.15 * height, column - 0.1 * side, sill),
+        material: glass,
+    });
 }

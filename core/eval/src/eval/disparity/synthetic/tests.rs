@@ -2,6 +2,7 @@ use panoscope_base::Threads;
 
 use super::disturb;
 use super::disturbance::Disturbance;
+use super::scenes::SIZE;
 use super::*;
 
 fn condition(name: &str) -> &'static Condition {

@@ -19,6 +19,14 @@ pub enum Texture {
     Tissue,
     /// Brushed metal.
     Metal,
+    /// Gray grains.
+    Asphalt,
+    /// Smooth dark paint with a faint reflection.
+    DarkPaint,
+    /// The same, so bright that parts of it burn out.
+    BrightPaint,
+    /// Nearly black glass.
+    Glass,
 }
 
 /// How a layer looks.
@@ -83,6 +91,7 @@ pub fn colour(material: &Material, point: &Point, eye_x_mm: f64) -> [f64; 3] {
     let red_tissue = |level: f64, vessel: f64| {
         [level * 0.62 - 22.0 * vessel, level * 0.66 - 40.0 * vessel, level * 1.15 - 34.0 * vessel]
     };
+    let gray = |level: f64| [level, level * 0.99, level * 0.98];
     let mut bgr = match material.texture {
         Texture::Fractal => red_tissue(118.0 + 46.0 * octaves(at, 6.0, 7, 0.72, px, seed), 0.0),
         Texture::Vessels => {
@@ -106,6 +115,10 @@ pub fn colour(material: &Material, point: &Point, eye_x_mm: f64) -> [f64; 3] {
             let level = 105.0 + 12.0 * octaves((x, y * 0.3), 2.0, 5, 0.75, px, seed);
             [level, level * 0.98, level * 0.95]
         }
+        Texture::Asphalt => gray(120.0 + 34.0 * octaves(at, 4.0, 6, 0.85, px, seed)),
+        Texture::DarkPaint => gray(34.0 + 2.0 * octaves(at, 5.0, 6, 0.5, px, seed)),
+        Texture::BrightPaint => gray(235.0 + 18.0 * octaves(at, 5.0, 6, 0.5, px, seed)),
+        Texture::Glass => gray(9.0 + 5.0 * octaves(at, 4.0, 5, 0.5, px, seed)),
     };
     if material.blood {
         let cover = (4.0 * (noise(x / 9.0, y / 9.0, seed ^ 0xb1) + 0.35 * noise(x / 2.5, y / 2.5, seed ^ 0xb2) + 0.12))
