@@ -6,7 +6,7 @@ use panoscope_imaging::View;
 use panoscope_imaging::stereo::MapScorer;
 use panoscope_imaging::stitch::evaluate::{Gray, likeness};
 
-use crate::observe::Output;
+use crate::output::Output;
 use crate::probe::Layout;
 
 /// Two outputs with the type of their packets. The second one is taken for the truth.

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use super::catalog::Catalog;
-use super::{DECLARED, Language, syntax};
+use super::{DECLARED, FILES, syntax};
 
 /// The message with the name of the language in the language itself.
 const NAME: &str = "language-name";
@@ -50,7 +49,8 @@ pub(crate) struct Added {
     pub(crate) code: &'static str,
     pub(crate) name: &'static str,
     pub(crate) decimal_sign: char,
-    pub(crate) catalog: Catalog,
+    /// Its texts.
+    pub(crate) text: &'static str,
 }
 
 static ADDED: Mutex<Vec<&'static Added>> = Mutex::new(Vec::new());
@@ -82,7 +82,8 @@ fn add(file: &Path) -> Result<(), TextsError> {
     if !(2..=8).contains(&code.len()) || !code.bytes().all(|byte| byte.is_ascii_lowercase()) {
         return Err(unusable(format!("`{code}` is not the code of a language, such as fr")));
     }
-    if Language::all().any(|known| known.code() == code) {
+    let is_added = (0..count()).filter_map(get).any(|known| known.code == code);
+    if is_added || FILES.iter().any(|(known, ..)| *known == code) {
         return Err(unusable(format!("there are texts of `{code}` already")));
     }
     if std::fs::metadata(file).map_err(unreadable)?.len() > MAX_BYTES {
@@ -98,90 +99,17 @@ fn add(file: &Path) -> Result<(), TextsError> {
         None => Some(format!("`{name}`, which no window has")),
     });
     let first = unused.next();
-    let count = 1 + unused.count();
-    let catalog = Catalog::read(code, [text.as_str()].into_iter());
-    let own = |name: &str| catalog.text(name, None).map(|(text, _)| text);
-    let leaked = |text: String| -> &'static str { Box::leak(text.into_boxed_str()) };
-    let (name, sign) = (own(NAME).unwrap_or_else(|| code.to_owned()), own(SIGN));
-    let decimal_sign = sign.and_then(|sign| sign.chars().next()).unwrap_or('.');
+    let unused = 1 + unused.count();
     // Kept as long as the program runs, as the embedded texts are.
-    let added = Added { code: leaked(code.to_owned()), name: leaked(name), decimal_sign, catalog };
+    let leaked = |text: String| -> &'static str { Box::leak(text.into_boxed_str()) };
+    let text = leaked(text);
+    let own = |name: &str| text.lines().find_map(|line| line.strip_prefix(name)?.trim_start().strip_prefix('='));
+    let decimal_sign = own(SIGN).and_then(|sign| sign.trim().chars().next()).unwrap_or('.');
+    let code = leaked(code.to_owned());
+    let added = Added { code, name: own(NAME).map_or(code, str::trim), decimal_sign, text };
     ADDED.lock().unwrap_or_else(PoisonError::into_inner).push(Box::leak(Box::new(added)));
     match first {
-        Some(first) => Err(TextsError::Unused { file: file.to_owned(), count, first }),
+        Some(first) => Err(TextsError::Unused { file: file.to_owned(), count: unused, first }),
         None => Ok(()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::texts::{Value, decimal, files, filled, plain, set_language, text};
-
-    /// The English texts with every word in brackets, as a file of another language.
-    fn bracketed() -> String {
-        let mut all = String::new();
-        for (_, _, text) in files().iter().filter(|(code, ..)| *code == "en") {
-            let resource = fluent_syntax::parser::parse(*text).expect("English has no mistakes");
-            all.push_str(&fluent_syntax::serializer::serialize(&resource));
-        }
-        // A text begins after ` = `, of a message or of an attribute, and after `] ` where there are several.
-        let line = |line: &str| match (line.trim_start().chars().next(), line.split_once(" = "), line.split_once("] "))
-        {
-            (Some('[' | '*'), _, Some((name, text))) => format!("{name}] ⟦{text}"),
-            (_, Some((name, text)), _) => format!("{name} = ⟦{text}"),
-            _ => line.to_owned(),
-        };
-        let texts = all.lines().map(line).collect::<Vec<_>>().join("\n");
-        format!("language-name = Probe\nlanguage-decimal-sign = ,\n{texts}\n")
-    }
-
-    #[test]
-    fn one_file_adds_a_language_and_english_stands_in_for_what_it_lacks() {
-        let folder = std::env::temp_dir().join(format!("panoscope_texts_{}", std::process::id()));
-        std::fs::create_dir_all(&folder).expect("created");
-        let whole = bracketed();
-        std::fs::write(folder.join("xx.ftl"), &whole).expect("written");
-        let some =
-            "language-name = Français\ntop-save = Enregistrer\nno-such-text = Rien\nalarm-image-old = { $inconnu }\n";
-        std::fs::write(folder.join("fr.ftl"), some).expect("written");
-        for (name, text) in [("de.ftl", "top-save = Anders\n"), ("yy.ftl", "top-save"), ("Nope.ftl", "a = b\n")] {
-            std::fs::write(folder.join(name), text).expect("written");
-        }
-        let problems: Vec<String> = add_languages(&folder).iter().map(ToString::to_string).collect();
-        std::fs::remove_dir_all(&folder).expect("removed");
-        let says = |words: &[&str]| problems.iter().any(|problem| words.iter().all(|word| problem.contains(word)));
-        assert!(says(&["de.ftl", "already"]) && says(&["yy.ftl"]) && says(&["Nope.ftl", "code"]), "{problems:#?}");
-        assert!(says(&["fr.ftl", "2 texts"]), "{problems:#?}");
-        assert_eq!(problems.len(), 4, "{problems:#?}");
-        let of = |code: &str| Language::of_locale(code).expect("it was added");
-
-        // Every text of the windows comes from the file.
-        let other = of("xx_YY.UTF-8");
-        assert_eq!((other.code(), other.name()), ("xx", "Probe"));
-        set_language(other);
-        let mut left = Vec::new();
-        for (id, variables) in DECLARED {
-            let shown = match variables.is_empty() {
-                true => plain(id).to_owned(),
-                false => filled(id, &variables.iter().map(|name| (*name, Value::from(2))).collect::<Vec<_>>()),
-            };
-            if !shown.contains('⟦') {
-                left.push((*id, shown));
-            }
-        }
-        assert!(left.is_empty(), "not from the file: {left:#?}");
-        assert!(text!("alarm-image-old", seconds = decimal(0.42, 1)).contains("0,4"), "its decimal sign");
-
-        // What a file lacks, or has with another variable, is English.
-        set_language(of("fr"));
-        assert_eq!((text!("top-save"), text!("top-undo")), ("Enregistrer", "Undo"));
-        assert_eq!(text!("alarm-image-old", seconds = decimal(0.42, 1)), "Image is 0.4 s old");
-        // The languages go round, and end in English.
-        let round: Vec<&str> = std::iter::successors(Some(Language::English), |now| Some(now.next()))
-            .take(5)
-            .map(Language::code)
-            .collect();
-        assert_eq!(round, ["en", "de", "fr", "xx", "en"]);
     }
 }

@@ -1,7 +1,7 @@
 //! The texts of each language, read once.
 
-use std::collections::HashMap;
-use std::sync::OnceLock;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use fluent_bundle::concurrent::FluentBundle;
 use fluent_bundle::types::{FluentNumber, FluentNumberOptions};
@@ -12,7 +12,7 @@ use unic_langid::LanguageIdentifier;
 use super::{DECLARED, FILES, Language, Value, added, number};
 
 /// The texts of a language.
-pub(crate) struct Catalog {
+struct Catalog {
     bundle: FluentBundle<FluentResource>,
     /// Texts without variables, which are shown again and again.
     plain: OnceLock<HashMap<&'static str, &'static str>>,
@@ -59,7 +59,7 @@ static CATALOGS: [OnceLock<Catalog>; Language::ALL.len()] = [const { OnceLock::n
 
 impl Catalog {
     /// The texts of a language. What is wrong in its files is left out, and found by the tests.
-    pub(crate) fn read<'a>(code: &str, files: impl Iterator<Item = &'a str>) -> Self {
+    fn read<'a>(code: &str, files: impl Iterator<Item = &'a str>) -> Self {
         let locale: LanguageIdentifier = code.parse().unwrap_or_default();
         let mut bundle = FluentBundle::new_concurrent(vec![locale]);
         // All languages here are written from left to right.
@@ -78,17 +78,28 @@ impl Catalog {
 
     fn of(language: Language) -> &'static Self {
         let at = match language {
-            Language::Added(at) => {
-                return added::get(at).map_or_else(|| Self::of(Language::English), |added| &added.catalog);
-            }
+            Language::Added(at) => return Self::added(at).unwrap_or_else(|| Self::of(Language::English)),
             Language::German => 1,
             Language::English => 0,
         };
         CATALOGS[at].get_or_init(|| Self::embedded(language))
     }
 
+    /// That of a language that was added; read once.
+    fn added(at: u8) -> Option<&'static Self> {
+        static READ: Mutex<BTreeMap<u8, &'static Catalog>> = Mutex::new(BTreeMap::new());
+        let mut read = READ.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = read.get(&at) {
+            return Some(known);
+        }
+        let added = added::get(at)?;
+        let catalog: &'static Self = Box::leak(Box::new(Self::read(added.code, [added.text].into_iter())));
+        read.insert(at, catalog);
+        Some(catalog)
+    }
+
     /// A text, and whether all its variables have values; `None` where there is none.
-    pub(crate) fn text(&self, id: &str, values: Option<&FluentArgs<'_>>) -> Option<(String, bool)> {
+    fn text(&self, id: &str, values: Option<&FluentArgs<'_>>) -> Option<(String, bool)> {
         let (id, attribute) = id.split_once('.').map_or((id, None), |(id, attribute)| (id, Some(attribute)));
         let message = self.bundle.get_message(id)?;
         let pattern = match attribute {

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::{
-    Language, Phrase, Value, bytes, decimal, declared, files, filled, phrase, plain, set_language, syntax, text,
+    Language, Phrase, Value, add_languages, bytes, decimal, declared, files, filled, phrase, plain, set_language,
+    syntax, text,
 };
 
 type Texts = BTreeMap<String, BTreeSet<String>>;
@@ -210,4 +211,68 @@ fn what_is_wrong_falls_back_to_english_and_never_to_nothing() {
     assert!(lacking.to_string().starts_with("Left getrennt: kein Bild seit "), "{lacking}");
     let unknown: Phrase = serde_json::from_str(r#"{"id": "no-such-text", "values": []}"#).expect("read");
     assert_eq!(unknown.to_string(), "no-such-text");
+}
+
+/// The English texts with every word in brackets, as a file of another language.
+fn bracketed() -> String {
+    let mut all = String::new();
+    for (_, _, text) in files().iter().filter(|(code, ..)| *code == "en") {
+        let resource = fluent_syntax::parser::parse(*text).expect("English has no mistakes");
+        all.push_str(&fluent_syntax::serializer::serialize(&resource));
+    }
+    // A text begins after ` = `, of a message or of an attribute, and after `] ` where there are several.
+    let line = |line: &str| match (line.trim_start().chars().next(), line.split_once(" = "), line.split_once("] ")) {
+        (Some('[' | '*'), _, Some((name, text))) => format!("{name}] ⟦{text}"),
+        (_, Some((name, text)), _) => format!("{name} = ⟦{text}"),
+        _ => line.to_owned(),
+    };
+    let texts = all.lines().map(line).collect::<Vec<_>>().join("\n");
+    format!("language-name = Probe\nlanguage-decimal-sign = ,\n{texts}\n")
+}
+
+#[test]
+fn one_file_adds_a_language_and_english_stands_in_for_what_it_lacks() {
+    let folder = std::env::temp_dir().join(format!("panoscope_texts_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("created");
+    let whole = bracketed();
+    std::fs::write(folder.join("xx.ftl"), &whole).expect("written");
+    let some =
+        "language-name = Français\ntop-save = Enregistrer\nno-such-text = Rien\nalarm-image-old = { $inconnu }\n";
+    std::fs::write(folder.join("fr.ftl"), some).expect("written");
+    for (name, text) in [("de.ftl", "top-save = Anders\n"), ("yy.ftl", "top-save"), ("Nope.ftl", "a = b\n")] {
+        std::fs::write(folder.join(name), text).expect("written");
+    }
+    let problems: Vec<String> = add_languages(&folder).iter().map(ToString::to_string).collect();
+    std::fs::remove_dir_all(&folder).expect("removed");
+    let says = |words: &[&str]| problems.iter().any(|problem| words.iter().all(|word| problem.contains(word)));
+    assert!(says(&["de.ftl", "already"]) && says(&["yy.ftl"]) && says(&["Nope.ftl", "code"]), "{problems:#?}");
+    assert!(says(&["fr.ftl", "2 texts"]), "{problems:#?}");
+    assert_eq!(problems.len(), 4, "{problems:#?}");
+    let of = |code: &str| Language::of_locale(code).expect("it was added");
+
+    // Every text of the windows comes from the file.
+    let other = of("xx_YY.UTF-8");
+    assert_eq!((other.code(), other.name()), ("xx", "Probe"));
+    set_language(other);
+    let mut left = Vec::new();
+    for (id, variables) in declared() {
+        let shown = match variables.is_empty() {
+            true => plain(id).to_owned(),
+            false => filled(id, &variables.iter().map(|name| (*name, Value::from(2))).collect::<Vec<_>>()),
+        };
+        if !shown.contains('⟦') {
+            left.push((*id, shown));
+        }
+    }
+    assert!(left.is_empty(), "not from the file: {left:#?}");
+    assert!(text!("alarm-image-old", seconds = decimal(0.42, 1)).contains("0,4"), "its decimal sign");
+
+    // What a file lacks, or has with another variable, is English.
+    set_language(of("fr"));
+    assert_eq!((text!("top-save"), text!("top-undo")), ("Enregistrer", "Undo"));
+    assert_eq!(text!("alarm-image-old", seconds = decimal(0.42, 1)), "Image is 0.4 s old");
+    // The languages go round, and end in English.
+    let round: Vec<&str> =
+        std::iter::successors(Some(Language::English), |now| Some(now.next())).take(5).map(Language::code).collect();
+    assert_eq!(round, ["en", "de", "fr", "xx", "en"]);
 }
