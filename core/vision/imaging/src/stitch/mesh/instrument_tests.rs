@@ -233,7 +233,8 @@ fn an_instrument_that_neither_view_sees_whole_goes_on_without_a_step() {
         update(&mut follower, &shaft_map(shaft));
         let shown = compose(&mut compositor, &follower, shaft);
         let [_, left, right] = views_of(&shown, shaft);
-        let is_whole = right == 0 && left > 50;
+        // The seam may pass beside the end of the shaft.
+        let is_whole = left > 50 && 100 * right < left;
         assert!(is_whole || tip > 285.0, "tip at {tip}: {left} from the left view, {right} from the right one");
     }
     // The left view ends at column 355 of the right one, which is drawn where the left view shows the instrument.

@@ -53,11 +53,6 @@ fn is_cut_twice(cut: Cut) -> bool {
     cut.iter().all(|cells| *cells >= MIN_CUT)
 }
 
-/// Whether two pieces would be an instrument of which neither view shows all, though one shows all of each.
-fn are_two(a: Cut, b: Cut) -> bool {
-    is_cut_twice([a[0] + b[0], a[1] + b[1]]) && !is_cut_twice(a) && !is_cut_twice(b)
-}
-
 /// One instrument over time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Track {
@@ -70,6 +65,8 @@ pub struct Track {
     pub slope: Option<f64>,
     /// A place next to the border of the reference view, px, and the same in the other view, of an instrument that the other view continues there.
     pub joint: Option<[Point; 2]>,
+    /// Whether it has been joined in this frame: its image jumps.
+    pub jumps: bool,
     missing_frames: u32,
     pending_frames: u32,
 }
@@ -317,10 +314,7 @@ impl Instruments {
             votes[self.before[*cell] as usize] += 1;
         }
         let least = ((MIN_VOTES * piece.len() as f64) as usize).max(1);
-        let cuts = self.cuts;
-        // An instrument that reaches to the borders of both views is two.
-        let fits = |label: usize| !are_two(cuts[label - 1], cut);
-        let takes_part = |label: usize| label > 0 && votes[label] >= least && fits(label);
+        let takes_part = |label: usize| label > 0 && votes[label] >= least;
         let best = (1..=MAX_INSTRUMENTS).filter(|label| takes_part(*label)).max_by_key(|label| votes[*label]);
         let Some(best) = best else {
             let Some(free) = self.tracks.iter().position(|track| track.view == Kept::Free && track.shift.is_none())
@@ -336,9 +330,9 @@ impl Instruments {
         for (sum, cells) in self.cuts[best - 1].iter_mut().zip(cut) {
             *sum += cells;
         }
-        // Instruments that touch, and are shown by different views, stay two.
-        let view = self.tracks[best - 1].view;
-        let is_two = |label: usize| takes_part(label) && self.tracks[label - 1].view != view;
+        // Instruments that touch, and are shown by different views, stay two, unless the reference view shows both as far as it reaches.
+        let (view, is_joined) = (self.tracks[best - 1].view, is_cut_twice(self.cuts[best - 1]));
+        let is_two = |label: usize| !is_joined && takes_part(label) && self.tracks[label - 1].view != view;
         if !(1..=MAX_INSTRUMENTS).any(is_two) {
             piece.iter().for_each(|cell| self.own[*cell] = best as u8);
             return;
@@ -408,7 +402,7 @@ impl Instruments {
         }
     }
 
-    /// Joins instruments that touch, such as jaws, unless different views show them.
+    /// Joins instruments that touch, such as jaws, unless different views show them, each as a whole.
     fn join_pieces(&mut self) {
         let mut cuts = self.cuts;
         let mut same: [u8; MAX_INSTRUMENTS + 1] = std::array::from_fn(|label| label as u8);
@@ -427,8 +421,8 @@ impl Instruments {
                     continue;
                 }
                 let views = [a, b].map(|label| self.tracks[label as usize - 1].view);
-                let is_two = are_two(cuts[a as usize - 1], cuts[b as usize - 1]);
-                if !is_two && (views[0] == views[1] || views.contains(&Kept::Free)) {
+                let both = [0, 1].map(|view| cuts[a as usize - 1][view] + cuts[b as usize - 1][view]);
+                if is_cut_twice(both) || views[0] == views[1] || views.contains(&Kept::Free) {
                     // The one that has a view stays.
                     let (stays, goes) = if views[0] == Kept::Free { (b, a) } else { (a, b) };
                     same.iter_mut().filter(|label| **label == goes).for_each(|label| *label = stays);
@@ -501,7 +495,8 @@ impl Instruments {
             let was_joined = track.joint.is_some();
             let is_joined = by_reference && (by_other || was_joined);
             track.joint = joints[index].or(track.joint).filter(|_| is_joined);
-            if track.joint.is_some() && !was_joined {
+            track.jumps = track.joint.is_some() && !was_joined;
+            if track.jumps {
                 (track.view, track.pending_frames) = (Kept::Free, 0);
             }
             let wanted = match (by_reference, by_other, track.view) {

@@ -84,8 +84,10 @@ impl Rigid {
             self.is_used[which] = false;
             for vertex in 0..lattice.len() {
                 let target = target(weights.distance_px[vertex], lattice.cell_px as f32);
-                let held = weights.weight[vertex];
-                let weight = if is_new { target } else { target.max(LEFT * held).min(held + MAX_RISE) };
+                // A mesh halfway would bend it.
+                let jumps = target > 0.0 && instruments.track(weights.nearest[vertex] as usize).jumps;
+                let held = if jumps { 0.0 } else { weights.weight[vertex] };
+                let weight = if is_new || jumps { target } else { target.max(LEFT * held).min(held + MAX_RISE) };
                 let weight = if weight < MIN_WEIGHT { 0.0 } else { weight };
                 weights.weight[vertex] = weight;
                 self.is_used[which] |= weight > 0.0;
