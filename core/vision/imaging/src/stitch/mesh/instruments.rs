@@ -282,11 +282,16 @@ impl Instruments {
         }
     }
 
-    /// Whether a cell is at the border of the reference view beyond which the other view reaches.
+    /// Whether a cell is among the first `cells` at the border of the reference view beyond which the other view reaches.
+    fn is_near_border(&self, place: [usize; 2], cells: usize, how: &Arrangement) -> bool {
+        let (place, size) = (place[how.axis()], [self.columns, self.rows][how.axis()]);
+        if how.is_beyond_end() { place + cells >= size } else { place < cells }
+    }
+
+    /// Whether a cell is so near to that border that its instrument counts as cut off.
     fn is_at_border(&self, place: [usize; 2], how: &Arrangement) -> bool {
         let border = (BORDER_PX * how.scale / self.cell_px as f64).round().max(1.0) as usize;
-        let (place, size) = (place[how.axis()], [self.columns, self.rows][how.axis()]);
-        if how.is_beyond_end() { place + border >= size } else { place < border }
+        self.is_near_border(place, border, how)
     }
 
     /// The borders of views that cut a piece off.
@@ -525,14 +530,12 @@ impl Instruments {
 
     /// Mean positions in both views, px, of what is matched of each instrument next to the border of the reference view; `None` where nothing is.
     fn joints(&self, observations: &Observations, how: &Arrangement) -> [Option<[Point; 2]>; MAX_INSTRUMENTS] {
-        let axis = how.axis();
-        let (size, reach) = ([self.columns, self.rows][axis], (JOINT_PX * how.scale / self.cell_px as f64) as usize);
+        let reach = (JOINT_PX * how.scale / self.cell_px as f64) as usize + 1;
         let mut sums = [([[0.0f64; 2]; 2], 0usize); MAX_INSTRUMENTS];
         for (cell, label) in self.sure.iter().enumerate().filter(|(_, label)| **label != 0) {
-            let place = [cell % self.columns, cell / self.columns][axis];
-            let far = if how.is_beyond_end() { size - 1 - place } else { place };
             let seen = &observations.cells[cell];
-            if far <= reach && seen.weight != 0.0 {
+            let place = [cell % self.columns, cell / self.columns];
+            if seen.weight != 0.0 && self.is_near_border(place, reach, how) {
                 let (sum, count) = &mut sums[*label as usize - 1];
                 sum.iter_mut().flatten().zip(seen.at.into_iter().chain(seen.source)).for_each(|(sum, v)| *sum += v);
                 *count += 1;

@@ -171,25 +171,21 @@ impl Weights {
         let axis = how.axis();
         let (size, cell_px) = instruments.grid();
         let end = size[axis] as f64 * cell_px as f64;
-        let is_last = |at: Point| {
-            // The cells at the rim itself are never matched.
-            let last = 2.0 * cell_px as f64;
-            if how.is_beyond_end() { at[axis] + last > end } else { at[axis] < last }
-        };
-        let joint_px = JOINT_PX * how.scale;
-        let is_near_end = |at: Point| if how.is_beyond_end() { at[axis] + joint_px > end } else { at[axis] < joint_px };
+        let is_near_end = |at: Point, px: f64| if how.is_beyond_end() { at[axis] + px > end } else { at[axis] < px };
+        // The cells at the rim itself are never matched.
+        let last_px = 2.0 * cell_px as f64;
         let outwards = if how.is_beyond_end() { 1.0 } else { -1.0 };
         let mut is_any = false;
         for (at, number) in instruments.cells(in_either) {
             let track = instruments.track(number);
-            let is_joint = in_either && track.joint.is_some() && is_near_end(at);
+            let is_joint = in_either && track.joint.is_some() && is_near_end(at, JOINT_PX * how.scale);
             if track.view != view && !is_joint {
                 continue;
             }
             is_any = true;
             self.mark(lattice, at, number);
             // Only the other view sees how an instrument goes on beyond the border: straight.
-            let Some(slope) = track.slope.filter(|_| in_either && is_last(at)) else { continue };
+            let Some(slope) = track.slope.filter(|_| in_either && is_near_end(at, last_px)) else { continue };
             let step = 0.5 * lattice.cell_px as f64;
             for n in 1..=4 * lattice.columns.max(lattice.rows) {
                 let mut next = at;
