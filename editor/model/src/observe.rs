@@ -28,6 +28,8 @@ use panoscope_engine::sync::lock;
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
 /// Minimum time between two thumbnails: drawing the window costs more than rendering them.
 pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
+/// Number of packets of each compared output among which one tick is searched: 130 ms of delay between the two at 120 Hz.
+const PAIR_TICKS: usize = 16;
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 /// Number of points in a node's history: two minutes.
 const HISTORY: usize = 240;
@@ -246,6 +248,20 @@ struct Fed {
 }
 
 impl Feed {
+    /// Keeps some packets for pairs, or only the newest one.
+    fn keep_for_pairs(&self, keeps: bool) {
+        if let Self::Engine(preview) = self {
+            preview.keep(if keeps { PAIR_TICKS } else { 1 });
+        }
+    }
+
+    /// The newest packets of one tick of two outputs of this run.
+    fn take_pair(&self, other: &Self) -> Option<[Fed; 2]> {
+        let (Self::Engine(preview), Self::Engine(other)) = (self, other) else { return None };
+        let (a, b) = preview.take_pair(other)?;
+        Some([a, b].map(|frame| Fed { frame, elsewhere: None }))
+    }
+
     /// The newest packet since the last call.
     fn take(&self) -> Option<Fed> {
         match self {
@@ -274,9 +290,9 @@ impl OutputPreview {
         Self { feed, elsewhere: None, range: None, surface: None, probed: None }
     }
 
-    /// Renders the newest packet; `None` when there is no new packet and the viewpoint is unchanged.
-    fn render(&mut self, request: &PreviewRequest, is_probed: bool) -> Option<RenderedPacket> {
-        let frame = self.feed.take().map(|fed| {
+    /// Renders a packet; `None` when there is no packet and the viewpoint is unchanged.
+    fn render(&mut self, fed: Option<Fed>, request: &PreviewRequest, is_probed: bool) -> Option<RenderedPacket> {
+        let frame = fed.map(|fed| {
             self.elsewhere = fed.elsewhere;
             fed.frame
         });
@@ -399,15 +415,20 @@ impl Worker {
             }
         }
         let mut changed = false;
-        for (output, request) in requests {
-            if !self.outputs.contains_key(&output) {
-                let Some(feed) = feed(&output, machine.as_ref(), engine.as_deref()) else { continue };
+        for output in requests.keys() {
+            if !self.outputs.contains_key(output) {
+                let Some(feed) = feed(output, machine.as_ref(), engine.as_deref()) else { continue };
                 self.outputs.insert(output.clone(), OutputPreview::new(feed));
             }
+        }
+        let mut of_one_tick = compared.as_ref().map_or_else(HashMap::new, |pair| self.take_pair(pair));
+        for (output, request) in requests {
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             let asked = probes.get(&output);
             let is_compared = compared.as_ref().is_some_and(|pair| [&pair.output, &pair.other].contains(&&output));
-            let render = view.render(&request, asked.is_some() || is_compared);
+            view.feed.keep_for_pairs(is_compared);
+            let fed = of_one_tick.remove(&output).or_else(|| view.feed.take());
+            let render = view.render(fed, &request, asked.is_some() || is_compared);
             if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
                 lock(&self.mailbox).probes.insert(output.clone(), probe);
                 changed = true;
@@ -424,10 +445,18 @@ impl Worker {
         changed | compared.is_some_and(|pair| self.compare(pair))
     }
 
-    /// Compares two outputs, where their newest packets are of one tick; returns whether there is something new.
+    /// The newest packets of one tick of the compared outputs.
+    fn take_pair(&self, pair: &ComparisonRequest) -> HashMap<Output, Fed> {
+        let view = |output: &Output| self.outputs.get(output);
+        let (Some(a), Some(b)) = (view(&pair.output), view(&pair.other)) else { return HashMap::new() };
+        let outputs = [pair.output.clone(), pair.other.clone()];
+        a.feed.take_pair(&b.feed).map_or_else(HashMap::new, |found| outputs.into_iter().zip(found).collect())
+    }
+
+    /// Compares two outputs, where their shown packets are of one tick; returns whether there is something new.
     fn compare(&mut self, pair: ComparisonRequest) -> bool {
-        let newest = |output: &Output| Some(&self.outputs.get(output)?.probed.as_ref()?.0);
-        let (Some(a), Some(b)) = (newest(&pair.output), newest(&pair.other)) else { return false };
+        let shown = |output: &Output| Some(&self.outputs.get(output)?.probed.as_ref()?.0);
+        let (Some(a), Some(b)) = (shown(&pair.output), shown(&pair.other)) else { return false };
         let (tick, other) = (a.frame().tick, b.frame().tick);
         let seq = tick.seq;
         let is_known = self.compared.as_ref().is_some_and(|(known, at)| (known, *at) == (&pair, seq));
