@@ -241,6 +241,13 @@ fn an_instrument_that_neither_view_sees_whole_goes_on_without_a_step() {
     let shaft = Shaft { tip: 255.0, ..FROM_RIGHT };
     let [low, high] = bend(follower.mesh().expect("a mesh"), shaft, 340..540);
     assert!(low > TOOL_PX - 0.7 && high < TOOL_PX + 0.7, "{low} to {high} px");
+    // Not found for a few frames, it stays where it is.
+    let nothing = map(|_, _| false, |_, _| TOOL_PX);
+    for frame in 0..3 {
+        update(&mut follower, &nothing);
+        let [low, high] = bend(follower.mesh().expect("a mesh"), shaft, 340..540);
+        assert!(low > TOOL_PX - 1.0 && high < TOOL_PX + 1.0, "{low} to {high} px, missing for {frame} frames");
+    }
 }
 
 #[test]

@@ -493,7 +493,9 @@ impl Instruments {
                 continue;
             }
             let cut = self.cuts[index];
-            let [by_reference, by_other] = cut.map(|cells| cells >= MIN_CUT);
+            // What was not found in this frame stays as it is.
+            let is_joined_still = track.joint.is_some() && track.missing_frames > 0;
+            let [by_reference, by_other] = cut.map(|cells| cells >= MIN_CUT || is_joined_still);
             let middle = 0.5 * (low + high) as f64;
             let is_beyond_middle = (a / count > middle) == how.is_beyond_end();
             // Once joined it stays so, or its image would jump to and fro.
