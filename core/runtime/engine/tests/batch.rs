@@ -223,3 +223,36 @@ fn starting_and_stopping_many_times_leaves_nothing_behind() {
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
 }
+
+/// 60 ticks a second, every fourth of which has an image of the branch, and a reader at 10 Hz: every sixth tick.
+fn limited_reader(path: &std::path::Path, n: u32) -> String {
+    format!(
+        r#"
+[nodes.source]
+type = "frames"
+params = {{ width_px = 16, height_px = 16, rate_hz = 60.0 }}
+[nodes.seldom]
+type = "every_nth"
+inputs = {{ image = "source.image" }}
+params = {{ n = {n} }}
+[nodes.record]
+type = "ledger"
+inputs = {{ images = ["source.image", "seldom.image"] }}
+params = {{ path = "{}" }}
+max_rate_hz = 10.0
+"#,
+        path.display()
+    )
+}
+
+#[test]
+fn a_limited_node_takes_ticks_with_all_inputs_that_come_at_lower_rates() {
+    let path = scratch("rates.jsonl");
+    run("batch", &limited_reader(&path, 4), options(2, 240));
+    let lines = ledger(&path);
+    assert_eq!(lines.len(), 30, "every eighth tick: {lines:?}");
+    assert!(lines.iter().all(|(_, inputs)| inputs.iter().all(Option::is_some)), "{lines:?}");
+    // An input that does not come holds nothing up.
+    run("batch", &limited_reader(&path, 1000), options(2, 240));
+    assert!((35..=40).contains(&ledger(&path).len()), "{:?}", ledger(&path));
+}

@@ -161,7 +161,7 @@ impl NodeRuntime {
             return (CallOutcome::Skipped, start_ns);
         }
         let may = match led {
-            None => self.is_due(exec, context, tick, start_ns),
+            None => self.is_due(exec, context, tick, start_ns, ports.inputs),
             Some(true) => Due::Run { start_ns },
             Some(false) => Due::Skip,
         };
@@ -333,14 +333,8 @@ impl NodeRuntime {
     }
 
     #[inline]
-    fn is_due(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, start_ns: u64) -> Due {
-        let last = exec.last_fired_ns;
-        // After a step back in capture time a node runs at once instead of waiting for the old time.
-        if exec.limited
-            && exec.period_ns > 0
-            && last != i64::MIN
-            && (0..exec.period_ns).contains(&tick.capture_ns.saturating_sub(last))
-        {
+    fn is_due(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, start_ns: u64, inputs: &[FrameRef]) -> Due {
+        if exec.limited && exec.period_ns > 0 && !exec.is_in_rate(tick, inputs) {
             return Due::Skip;
         }
         if exec.bypassed {
@@ -359,6 +353,7 @@ impl NodeRuntime {
         }
         if !exec.source {
             exec.last_fired_ns = tick.capture_ns;
+            exec.seen_inputs = 0;
         }
         Due::Run { start_ns }
     }
