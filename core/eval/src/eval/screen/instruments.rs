@@ -39,6 +39,8 @@ const DARK: f32 = 36.0;
 const MAX_BRIGHTNESS: f32 = 225.0;
 /// Minimum size of an instrument as a share of the image's pixels.
 const MIN_AREA: f64 = 0.006;
+/// Area below which a red patch inside an instrument is noise in its shade, px.
+const MAX_NOISE: usize = 64;
 /// Distance from an image's border below which outlines belong to the image, px.
 const BORDER_PX: f64 = 5.0;
 /// Maximum distance of corresponding outlines, px.
@@ -80,7 +82,8 @@ impl Outlines {
     fn of(image: &Image) -> Self {
         let (width, height) = (image.width, image.height);
         let redness = redness(image);
-        let labels = label(&redness, width, height);
+        let mut labels = label(&redness, width, height);
+        fill_noise(&mut labels, width, height);
         let count = labels.iter().copied().max().unwrap_or(0);
         let mut instruments = vec![Vec::new(); count];
         let mut cross = |a: usize, b: usize, step: Point| {
@@ -186,22 +189,7 @@ fn label(redness: &[f32], width: usize, height: usize) -> Vec<usize> {
         if labels[start] != UNKNOWN {
             continue;
         }
-        area.clear();
-        area.push(start);
-        labels[start] = next;
-        let mut done = 0;
-        while let Some(&at) = area.get(done) {
-            done += 1;
-            let (x, y) = (at % width, at / width);
-            let around = [(x > 0, at.wrapping_sub(1)), (x + 1 < width, at + 1)];
-            let across = [(y > 0, at.wrapping_sub(width)), (y + 1 < height, at + width)];
-            for (_, to) in around.into_iter().chain(across).filter(|(is_inside, _)| *is_inside) {
-                if labels[to] == UNKNOWN {
-                    labels[to] = next;
-                    area.push(to);
-                }
-            }
-        }
+        take_area(&mut labels, (width, height), start, next, &mut area);
         if area.len() < least {
             area.iter().for_each(|at| labels[*at] = 0);
         } else {
@@ -209,6 +197,51 @@ fn label(redness: &[f32], width: usize, height: usize) -> Vec<usize> {
         }
     }
     labels
+}
+
+/// Gives the connected pixels around `start` that have its number the number `to`; `area` is then all of them. Returns another number that
+/// they touch, 0 for none.
+fn take_area(
+    labels: &mut [usize],
+    (width, height): (usize, usize),
+    start: usize,
+    to: usize,
+    area: &mut Vec<usize>,
+) -> usize {
+    let from = std::mem::replace(&mut labels[start], to);
+    area.clear();
+    area.push(start);
+    let (mut done, mut touched) = (0, 0);
+    while let Some(&at) = area.get(done) {
+        done += 1;
+        let (x, y) = (at % width, at / width);
+        let around = [(x > 0, at.wrapping_sub(1)), (x + 1 < width, at + 1)];
+        let across = [(y > 0, at.wrapping_sub(width)), (y + 1 < height, at + width)];
+        for (_, near) in around.into_iter().chain(across).filter(|(is_inside, _)| *is_inside) {
+            if labels[near] == from {
+                labels[near] = to;
+                area.push(near);
+            } else if labels[near] != to {
+                touched = labels[near];
+            }
+        }
+    }
+    touched
+}
+
+/// Gives small red patches inside an instrument its number.
+fn fill_noise(labels: &mut [usize], width: usize, height: usize) {
+    const SEEN: usize = usize::MAX;
+    let mut area = Vec::new();
+    for start in 0..labels.len() {
+        if labels[start] == 0 {
+            let around = take_area(labels, (width, height), start, SEEN, &mut area);
+            if area.len() <= MAX_NOISE && around != 0 {
+                area.iter().for_each(|at| labels[*at] = around);
+            }
+        }
+    }
+    labels.iter_mut().filter(|label| **label == SEEN).for_each(|label| *label = 0);
 }
 
 /// A map that keeps straight lines straight: the quotients of the product with `[x, y, 1]`.
@@ -383,6 +416,21 @@ mod tests {
             let wanted = if view == 0 { -dx } else { -21.3 - dx };
             assert!((offset[0] - wanted).abs() < 1.0 && offset[1].abs() < 1.0, "{dx}: {found:?}");
         }
+    }
+
+    #[test]
+    fn noise_in_the_shade_of_an_instrument_is_not_an_outline() {
+        let noisy = |dx: f64| {
+            let mut image = scene(320, dx, 0.0);
+            for x in (90..260).step_by(6) {
+                let y = (130.0 - 0.25 * (x as f64 - dx - 60.0)) as usize;
+                image.pixels[3 * (y * 320 + x)..][..9].copy_from_slice(&[60, 90, 180].repeat(3));
+            }
+            image
+        };
+        let views = [noisy(0.0), noisy(-21.3)];
+        let found = compare(&scene(360, 0.0, 0.0), [&views[0], &views[1]]);
+        assert!(found.deviations_px[0] < 0.5, "{found:?}");
     }
 
     #[test]
