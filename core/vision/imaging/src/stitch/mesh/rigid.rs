@@ -78,7 +78,7 @@ impl Rigid {
             }
             if view == Kept::Other {
                 let full = FULL_CELLS * lattice.cell_px as f64;
-                follow_shifts(instruments, weights, lattice, (full as f32, rate), [drawn, base]);
+                follow_shifts(instruments, weights, (lattice, how.axis()), (full as f32, rate), [drawn, base]);
                 self.shift.resize(lattice.len(), [0.0; 2]);
             }
             self.is_used[which] = false;
@@ -131,11 +131,12 @@ fn target(distance_px: f32, cell_px: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Moves the displacement of each instrument towards the mean of the mesh within `full_px` of it by the share `rate`; that of a joined one towards its own.
+/// Moves the displacement of each instrument towards the mean of the mesh within `full_px` of it by the share `rate`. What a joined one needs to go on
+/// across the border is added, which is its own displacement without the part along itself.
 fn follow_shifts(
     instruments: &mut Instruments,
     weights: &Weights,
-    lattice: &Lattice,
+    (lattice, axis): (&Lattice, usize),
     (full_px, rate): (f32, f64),
     [drawn, base]: [&[Point]; 2],
 ) {
@@ -147,12 +148,20 @@ fn follow_shifts(
     }
     for (index, [x, y, count]) in sums.into_iter().enumerate().filter(|(_, sum)| sum[2] > 0.0) {
         let track = instruments.track_mut(index + 1);
+        let mean = [x / count, y / count];
         let joint = track.joint.and_then(|[here, there]| {
             let (cell, t) = lattice.cell_of(here)?;
             let base = lattice.interpolate(|vertex| base[vertex], cell, t);
-            Some([there[0] - base[0], there[1] - base[1]])
+            let off = [0, 1].map(|k| there[k] - base[k] - mean[k]);
+            // A shaft looks the same everywhere along itself: only what moves it across itself is needed, and tissue is bent less.
+            let slope = track.slope?;
+            let across = (off[1 - axis] - slope * off[axis]) / (1.0 + slope * slope);
+            let mut moved = mean;
+            moved[axis] -= slope * across;
+            moved[1 - axis] += across;
+            Some(moved)
         });
-        let mean = joint.unwrap_or([x / count, y / count]);
+        let mean = joint.unwrap_or(mean);
         track.shift = Some(match track.shift {
             Some(held) => [0, 1].map(|k| held[k] + rate * (mean[k] - held[k])),
             None => mean,
