@@ -59,11 +59,11 @@ pub fn run(arguments: &Arguments) -> Result<End> {
                 }
                 Disturber::new(settings, live.text(), &graph, &live.loader().catalog_of_graph(&graph))
             });
-            if let Some(reason) = disturber.disturb(live) {
-                log!("warning: a change was refused: {reason}");
-            }
             if soak.observe(live.engine()) >= arguments.minutes * 60.0 {
+                // From here on a change would be refused.
                 live.engine().stop();
+            } else if let Some(reason) = disturber.disturb(live) {
+                log!("warning: a change was refused: {reason}");
             }
         })?;
     let mut verdict = match ran {
