@@ -9,7 +9,7 @@ use panoscope_engine::fault::Fault;
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_record::{Digests, RecordOptions, Recorder, head};
 
-use crate::load;
+use crate::ready;
 
 const MAX_RUN: Duration = Duration::from_secs(120);
 
@@ -42,29 +42,25 @@ impl DisturbedRun {
 /// The graph is invalid, does not start, or does not end within two minutes.
 pub fn run_disturbed(folder: &Path, text: &str, options: Options, mut disturb: impl FnMut(&Engine)) -> DisturbedRun {
     let path = folder.join("graph.toml");
-    let (graph, catalog, loader) = load(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let ready = ready(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let record = RecordOptions { digests: true, ..RecordOptions::default() };
-    let recorder = Recorder::start(record, head(&graph, &catalog, &loader, &path, text, &[]));
+    let recorder = Recorder::start(record, head(&ready));
     let recorder = recorder.unwrap_or_else(|error| panic!("{error}"));
     let faults = Arc::new(Mutex::new(Vec::new()));
     let heard = Arc::clone(&faults);
     let hear = move |fault: &Fault| heard.lock().expect("no panic").push(fault.clone());
-    let options = Options {
-        threads: 2,
-        graph_dir: folder.to_owned(),
-        faults: Some(Box::new(hear)),
-        observer: Some(Arc::clone(&recorder) as _),
-        ..options
-    };
-    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
+    let options =
+        Options { threads: 2, faults: Some(Box::new(hear)), observer: Some(Arc::clone(&recorder) as _), ..options };
+    let live = ready.start(options).unwrap_or_else(|error| panic!("{error}"));
+    let engine = live.engine();
     let end = Instant::now() + MAX_RUN;
     while !engine.wait(Some(Duration::from_millis(2))) {
         assert!(Instant::now() < end, "the graph did not end: {:?}", engine.recent_log());
-        disturb(&engine);
+        disturb(engine);
     }
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();
-    drop(engine);
+    drop(live);
     let Digests { ports, .. } = recorder.finish().digests.expect("fingerprints");
     let packets = ports
         .into_iter()

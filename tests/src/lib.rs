@@ -7,12 +7,13 @@ pub mod machines;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use panoscope_engine::{Engine, Options, Outcome, Report};
-use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText, check};
-use panoscope_host::loader::{self as loader, Loader};
+use panoscope_engine::{Options, Outcome, Report};
+use panoscope_graph::{Catalog, Graph, GraphOptions, GraphText};
+use panoscope_host::loader::Loader;
+use panoscope_host::loader::graph_file::{self, Ready};
 
 pub use disturbed::{DisturbedRun, run_disturbed};
 
@@ -182,15 +183,14 @@ pub struct Run {
     pub log: Vec<String>,
 }
 
-/// Loads and checks a graph text as if it were the file `path`; `Err` contains the rendered errors.
-pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String> {
-    let text = GraphText::parse(path, text);
-    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-    let catalog = loader.catalog_of(&text);
-    match check(&text, &catalog).into_result() {
-        Ok((graph, _)) => Ok((graph, catalog, loader)),
-        Err(mistakes) => Err(mistakes.render(false)),
-    }
+/// Checks a graph text as if it were the file `path`; `Err` contains the rendered errors.
+pub fn ready(path: &Path, text: &str) -> Result<Ready, String> {
+    graph_file::ready(&GraphText::parse(path, text)).map_err(|mistakes| mistakes.render(false))
+}
+
+/// As [`ready`], for a test that starts the engine itself.
+pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Arc<Loader>), String> {
+    ready(path, text).map(|Ready { graph, catalog, loader, .. }| (graph, catalog, loader))
 }
 
 /// Runs a graph text to its end on a number of threads.
@@ -198,8 +198,8 @@ pub fn load(path: &Path, text: &str) -> Result<(Graph, Catalog, Loader), String>
 /// # Panics
 /// The graph is invalid, does not start, or does not end within two minutes.
 pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
-    let (graph, catalog, loader) = load(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
-    let run = start(path, graph, &catalog, &loader, frames, threads).unwrap_or_else(|error| panic!("{error}"));
+    let ready = ready(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let run = start(ready, frames, threads).unwrap_or_else(|error| panic!("{error}"));
     assert!(run.is_some(), "{} needs ONNX Runtime", path.display());
     run.unwrap_or_else(|| unreachable!("asserted above"))
 }
@@ -219,28 +219,17 @@ pub fn run_file(path: &Path, options: &GraphOptions, frames: u64) -> Option<Run>
 /// As [`run_file`].
 pub fn run_with(path: &Path, text: &str, options: &GraphOptions, frames: u64) -> Option<Run> {
     let text = GraphText::parse_with(path, text, options);
-    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-    let catalog = loader.catalog_of(&text);
-    let (graph, _) =
-        check(&text, &catalog).into_result().unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
-    start(path, graph, &catalog, &loader, frames, 2).unwrap_or_else(|error| panic!("{error}"))
+    let ready = graph_file::ready(&text).unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
+    start(ready, frames, 2).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn start(
-    path: &Path,
-    graph: Graph,
-    catalog: &Catalog,
-    loader: &Loader,
-    frames: u64,
-    threads: usize,
-) -> Result<Option<Run>, String> {
+fn start(ready: Ready, frames: u64, threads: usize) -> Result<Option<Run>, String> {
     let log = std::sync::Arc::new(Mutex::new(Vec::new()));
     let lines = std::sync::Arc::clone(&log);
     let options = Options {
         frames: Some(frames),
         threads,
         paced: false,
-        graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
         log: Some(Box::new(move |level, node, words| {
             if level <= panoscope_engine::log::Level::Warn
                 && let Ok(mut lines) = lines.lock()
@@ -250,14 +239,15 @@ fn start(
         })),
         ..Options::default()
     };
-    let engine = match Engine::start(graph, catalog, loader, options) {
-        Ok(engine) => engine,
+    let live = match ready.start(options) {
+        Ok(live) => live,
         Err(error) if error.to_string().contains("ONNX Runtime's shared library was not found") => {
             panoscope_testing::skipped!("{error}");
             return Ok(None);
         }
         Err(error) => return Err(error.to_string()),
     };
+    let engine = live.engine();
     assert!(engine.wait(Some(Duration::from_secs(120))), "the graph did not end: {:?}", engine.recent_log());
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();

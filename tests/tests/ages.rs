@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use panoscope_base::packet::Table;
 use panoscope_engine::{Engine, Listener, Options};
 use panoscope_host::loader::Live;
-use panoscope_tests::{load, scratch};
+use panoscope_tests::{ready, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Number of the cause "the tip is too old" in the arm's table.
@@ -23,13 +23,13 @@ fn rows_of(rows: &Rows) -> BTreeMap<u64, Vec<f64>> {
 
 /// A running graph, with the rows of some table outputs.
 struct Run {
-    live: Live<Box<Engine>>,
+    live: Live,
     rows: Vec<Rows>,
 }
 
 fn start(text: &str, listen: &[(&str, &str)]) -> Run {
     let path = Path::new("ages.toml");
-    let (graph, catalog, loader) = load(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let ready = ready(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let rows: Vec<Rows> = listen.iter().map(|_| Rows::default()).collect();
     let listener = |((node, output), rows): (&(&str, &str), &Rows)| {
         let rows = Arc::clone(rows);
@@ -42,8 +42,7 @@ fn start(text: &str, listen: &[(&str, &str)]) -> Run {
     };
     let listen = listen.iter().zip(&rows).map(listener).collect();
     let options = Options { threads: 2, listen, ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
-    Run { live: Live::new(Box::new(engine), path, text.to_owned(), Vec::new(), loader), rows }
+    Run { live: ready.start(options).unwrap_or_else(|error| panic!("{error}")), rows }
 }
 
 impl Run {

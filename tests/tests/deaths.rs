@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::{Cause, Fault};
-use panoscope_engine::{Engine, Options, Outcome, Report};
+use panoscope_engine::{Options, Outcome, Report};
 use panoscope_record::{RecordOptions, Recorder, head};
-use panoscope_tests::{isolated_processes, load, scratch};
+use panoscope_tests::{isolated_processes, ready, scratch};
 
 const FRAMES: u64 = 40;
 const MAX_RUN: Duration = Duration::from_secs(120);
@@ -165,9 +165,9 @@ struct Run {
 /// Runs a case; with `dies`, one of its processes dies.
 fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     let (path, text) = (folder.join("graph.toml"), case.text(dies));
-    let (graph, catalog, loader) = load(&path, &text)?;
+    let ready = ready(&path, &text)?;
     let record = RecordOptions { digests: true, ..RecordOptions::default() };
-    let recorder = Recorder::start(record, head(&graph, &catalog, &loader, &path, &text, &[]));
+    let recorder = Recorder::start(record, head(&ready));
     let recorder = recorder.map_err(|error| error.to_string())?;
     let faults = Arc::new(Mutex::new(Vec::new()));
     let heard = Arc::clone(&faults);
@@ -180,7 +180,6 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     let options = Options {
         frames: Some(FRAMES),
         threads: case.threads,
-        graph_dir: folder.to_owned(),
         // In batch a call hangs after 30 times this.
         hang: Duration::from_millis(100),
         group_memory_bytes: 1 << 30,
@@ -188,7 +187,8 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
         observer: Some(Arc::clone(&recorder) as _),
         ..Options::default()
     };
-    let engine = Engine::start(graph, &catalog, &loader, options).map_err(|error| error.to_string())?;
+    let live = ready.start(options).map_err(|error| error.to_string())?;
+    let engine = live.engine();
     let end = Instant::now() + MAX_RUN;
     let mut killed_at = None;
     while !engine.wait(Some(Duration::from_millis(1))) {
@@ -202,7 +202,7 @@ fn run(folder: &Path, case: &Case, dies: bool) -> Result<Run, String> {
     }
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();
-    drop(engine);
+    drop(live);
     let left = || isolated_processes().difference(&before).count();
     while left() > 0 {
         if Instant::now() > end {

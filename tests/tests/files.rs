@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use panoscope_engine::fault::Action;
-use panoscope_engine::{Engine, Options, SetError};
+use panoscope_engine::{Options, SetError};
 use panoscope_host::loader::Live;
-use panoscope_tests::{load, scratch, wait_until};
+use panoscope_tests::{ready, scratch, wait_until};
 
 use crate::video::whole_frames;
 
@@ -28,25 +28,22 @@ fn graph(nodes: &str) -> String {
     )
 }
 
-fn start(text: &str) -> Result<Live<Box<Engine>>, String> {
+fn start(text: &str) -> Result<Live, String> {
     let path = Path::new("files.toml");
-    let (graph, catalog, loader) = load(path, text)?;
-    let options = Options { threads: 2, ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).map_err(|error| error.to_string())?;
-    Ok(Live::new(Box::new(engine), path, text.to_owned(), Vec::new(), loader))
+    ready(path, text)?.start(Options { threads: 2, ..Options::default() }).map_err(|error| error.to_string())
 }
 
-fn made(live: &Live<Box<Engine>>, node: &str) -> u64 {
+fn made(live: &Live, node: &str) -> u64 {
     live.engine().report().nodes.get(node).map_or(0, |n| n.count)
 }
 
-fn more_frames(live: &Live<Box<Engine>>, node: &str) {
+fn more_frames(live: &Live, node: &str) {
     let before = made(live, node);
     wait_until("frames are written", || made(live, node) > before + 10);
 }
 
 /// Stops the run; returns the number of calls of a node.
-fn end(live: &Live<Box<Engine>>, node: &str) -> u64 {
+fn end(live: &Live, node: &str) -> u64 {
     live.engine().stop();
     assert!(live.engine().wait(Some(PATIENCE)), "it does not end");
     live.engine().close(PATIENCE);
@@ -156,11 +153,9 @@ fn files_of_earlier_runs_stay_where_that_is_wanted() {
     let text = graph(&video("out", &file, ""));
     let mut counts = Vec::new();
     for _ in 0..2 {
-        let path = Path::new("files.toml");
-        let (graph, catalog, loader) = load(path, &text).expect("a good graph");
         let options = Options { threads: 2, keep_outputs: true, ..Options::default() };
-        let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
-        let live = Live::new(Box::new(engine), path, text.clone(), Vec::new(), loader);
+        let ready = ready(Path::new("files.toml"), &text).expect("a good graph");
+        let live = ready.start(options).expect("it starts");
         more_frames(&live, "out");
         counts.push(end(&live, "out"));
     }
@@ -181,7 +176,7 @@ fn one_file_has_one_writer() {
 
     let mut live = start(&graph(&video("one", &file, ""))).expect("a good graph");
     more_frames(&live, "one");
-    let add = |live: &mut Live<Box<Engine>>, id: &str, path: &Path| {
+    let add = |live: &mut Live, id: &str, path: &Path| {
         live.edit(|edit| {
             edit.add_node(id, "write_video")?;
             edit.set_input(id, "image", &["camera.image"])?;

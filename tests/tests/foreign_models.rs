@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::ParamValue;
 use panoscope_host::loader::trial::try_node;
-use panoscope_host::loader::{Live, Loader, search_path};
-use panoscope_tests::{load, scratch};
+use panoscope_host::loader::{Loader, search_path};
+use panoscope_tests::{load, ready, scratch};
 
 /// A folder with one file for each behaviour of a model.
 fn models(name: &str) -> PathBuf {
@@ -97,10 +97,9 @@ fn a_live_change_refuses_a_model_that_would_end_the_run() {
         let folder = models("trial-live");
         let text_of = |model: &str| graph_with(&format!("{model}.onnx"), node);
         let (file, text) = (folder.join("graph.toml"), text_of("good"));
-        let (checked, catalog, loader) = load(&file, &text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
-        let options = Options { graph_dir: folder.clone(), ..Options::default() };
-        let engine = Arc::new(Engine::start(checked, &catalog, &loader, options).expect("a good model"));
-        let mut live = Live::new(Arc::clone(&engine), &file, text, Vec::new(), loader);
+        let ready = ready(&file, &text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+        let mut live = ready.start(Options::default()).expect("a good model");
+        let engine = Arc::clone(live.engine());
         let path = |name: &str| ParamValue::Path(folder.join(name));
         for bad in ["abort", "stack", "refuse"] {
             let error = live.apply_text(&text_of(bad)).expect_err(bad).to_string();

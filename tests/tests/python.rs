@@ -7,10 +7,9 @@ use std::time::{Duration, Instant};
 use panoscope_engine::fault::Cause;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Listener, Options, Outcome};
-use panoscope_host::loader::Live;
 use panoscope_host::loader::live::{Changed, FileWatch};
 use panoscope_tests::machines::program;
-use panoscope_tests::{DisturbedRun, has_python, load, root, run_disturbed, scratch};
+use panoscope_tests::{DisturbedRun, has_python, load, ready, root, run_disturbed, scratch};
 
 const MAX_RUN: Duration = Duration::from_secs(120);
 
@@ -266,9 +265,9 @@ fn a_saved_file_is_swapped_in_and_state_is_kept() {
          [nodes.other_end]\ntype = \"drain\"\ninputs = { image = { from = \"other.image\", queue = 64 } }\n\
          [nodes.count]\ntype = \"count\"\nparams = { last = 1000000 }\nmax_rate_hz = 50\n\
          [nodes.end]\ntype = \"drain\"\ninputs = { image = \"count.image\" }\n";
-    let (graph, catalog, loader) = load(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
-    let options = Options { graph_dir: folder.clone(), ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("starts");
+    let ready = ready(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let mut live = ready.start(Options::default()).expect("starts");
+    let engine = Arc::clone(live.engine());
     let counted = |engine: &Engine| engine.report().nodes["count"].count;
     let wait = |until: &dyn Fn() -> bool| {
         let end = Instant::now() + MAX_RUN;
@@ -278,7 +277,6 @@ fn a_saved_file_is_swapped_in_and_state_is_kept() {
         }
     };
     wait(&|| counted(&engine) > 20);
-    let mut live = Live::new(&engine, &path, text.to_owned(), Vec::new(), loader);
     let file = folder.join("turned.py");
     let source = std::fs::read_to_string(&file).expect("the plugin");
     let watch = std::cell::RefCell::new(FileWatch::new(&path, live.loader()));

@@ -6,13 +6,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use panoscope_engine::{Engine, Options};
-use panoscope_graph::GraphText;
+use panoscope_engine::Options;
 use panoscope_graph::edit::GraphEdit;
 use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
 use panoscope_record::{Digests, Event, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
-use panoscope_tests::{load, root, scratch};
+use panoscope_tests::{ready, root, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(600);
 const CHANGES: u64 = 50;
@@ -42,7 +41,7 @@ fn demo(width: u64) -> String {
 }
 
 /// Changes values, adds and removes a node, and moves inputs from one output to another.
-fn change(live: &mut Live<&Engine>, number: u64) {
+fn change(live: &mut Live, number: u64) {
     let id = format!("extra{}", number / 5);
     let done = match number % 5 {
         0 => live.set_param("wide/composite", "blend_px", &toml::Value::Integer((number % 40) as i64)),
@@ -65,20 +64,17 @@ fn change(live: &mut Live<&Engine>, number: u64) {
 fn record(file: &Path, frames: u64, width: u64) -> Digests {
     let path = root().join("graphs/recorded.toml");
     let text = demo(width);
-    let (graph, catalog, loader) = load(&path, &text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
-    // Changes name nodes inside its parts.
-    let text = GraphText::parse(&path, &text).flattened(&catalog).into_owned();
+    let ready = ready(&path, &text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let options = RecordOptions {
         file: Some(file.to_owned()),
         digests: true,
         all_source_ports: false,
         ..RecordOptions::default()
     };
-    let head = head(&graph, &catalog, &loader, &path, &text, &[]);
-    let recorder = Recorder::start(options, head).unwrap_or_else(|e| panic!("{e}"));
+    let recorder = Recorder::start(options, head(&ready)).unwrap_or_else(|e| panic!("{e}"));
     let options = Options { frames: Some(frames), observer: Some(Arc::clone(&recorder) as _), ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|e| panic!("{e}"));
-    let mut live = Live::new(&engine, &path, text, Vec::new(), loader);
+    let mut live = ready.start(options).unwrap_or_else(|e| panic!("{e}"));
+    let engine = Arc::clone(live.engine());
     let begin = Instant::now();
     for number in 0..CHANGES {
         // Spread over the first nine tenths of the run.

@@ -137,7 +137,7 @@ pub enum EvalError {
     },
     /// The engine did not start.
     #[error(transparent)]
-    Start(#[from] panoscope_engine::StartError),
+    Start(#[from] panoscope_host::loader::graph_file::RunError),
     /// An operation of the system failed.
     #[error(transparent)]
     Io(#[from] std::io::Error),

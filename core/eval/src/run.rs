@@ -8,7 +8,7 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_engine::trace::Tracer;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
 use panoscope_graph::{GraphOptions, GraphText};
-use panoscope_host::loader::graph_file;
+use panoscope_host::loader::graph_file::{self, Ready};
 
 use crate::error::{Context, EvalError, Result};
 use crate::session::{Session, check_cancelled};
@@ -62,6 +62,14 @@ pub fn flattened(path: &Path, options: &GraphOptions) -> Result<String> {
     ready.text.settled(&ready.catalog).context("the settings")
 }
 
+/// Loads the plugins of a graph that an evaluation made and checks it.
+///
+/// # Errors
+/// The graph has mistakes.
+pub(crate) fn ready(text: &GraphText) -> Result<Ready> {
+    graph_file::ready(text).map_err(|d| EvalError::Graph { diagnostics: d.render(false).trim_end().to_owned() })
+}
+
 /// Closes a graph and returns its counters.
 ///
 /// # Errors
@@ -99,13 +107,7 @@ pub struct Watchers {
 /// As [`run`], with watchers.
 pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -> Result<RunOutput> {
     check_cancelled(session)?;
-    let text = GraphText::parse(plan.path, plan.text);
-    let ready = match graph_file::ready(&text) {
-        Ok(ready) => ready,
-        Err(diagnostics) => {
-            return Err(EvalError::Graph { diagnostics: diagnostics.render(false).trim_end().to_owned() });
-        }
-    };
+    let ready = ready(&GraphText::parse(plan.path, plan.text))?;
     let counters = session.allocation_counters();
     let options = Options {
         threads: plan.threads,
@@ -115,12 +117,12 @@ pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -
         listen: watchers.listen,
         numbers: watchers.numbers,
         tracer: watchers.tracer,
-        graph_dir: plan.path.parent().unwrap_or(Path::new("")).to_owned(),
         process_allocations: counters.process,
         thread_allocations: counters.thread,
         ..Options::default()
     };
-    let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
+    let live = ready.start(options)?;
+    let engine = live.engine();
     let previews: Vec<Preview> = plan
         .ports
         .iter()
@@ -149,8 +151,8 @@ pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -
     if !complete {
         take_newest();
     }
-    let report = close(&engine)?;
-    if let Some((node, reason)) = failed_node(&engine, &report) {
+    let report = close(engine)?;
+    if let Some((node, reason)) = failed_node(engine, &report) {
         return Err(EvalError::Node { node, reason });
     }
     let log = engine.recent_log().into_iter().map(|(_, node, text)| (node, text)).collect();

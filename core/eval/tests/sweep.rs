@@ -5,9 +5,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::common::{loader, scratch};
-use panoscope_engine::{Engine, Options, Outcome};
+use panoscope_engine::{Options, Outcome};
 use panoscope_eval::sweep::{Point, Request, Sweep, SweepError, csv};
-use panoscope_graph::{GraphText, check};
 use panoscope_record::{RecordOptions, Recorder, Recording, head};
 
 /// Pictures whose mean is known, and a sink that must not act.
@@ -113,20 +112,15 @@ fn a_run_with_failed_calls_says_how_many() {
 #[test]
 fn a_recording_stands_in_for_the_sources() {
     let text = graph().replace("rate_hz = 30.0", "rate_hz = 30.0, count = 12").replace("swept.jsonl", "acted.jsonl");
-    let path = PathBuf::from("swept.toml");
-    let parsed = GraphText::parse(&path, &text);
-    let loader = Arc::new(loader());
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
+    let ready = common::ready("swept.toml", &text);
     let file = scratch("swept.mcap");
-    let head = head(&graph, &catalog, &loader, &path, &text, &[]);
-    let recorder = Recorder::start(RecordOptions { file: Some(file.clone()), ..RecordOptions::default() }, head)
-        .expect("the file can be written");
+    let record = RecordOptions { file: Some(file.clone()), ..RecordOptions::default() };
+    let recorder = Recorder::start(record, head(&ready)).expect("the file can be written");
     let options = Options { observer: Some(Arc::clone(&recorder) as _), ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
-    assert!(engine.wait(Some(common::PATIENCE)));
-    assert_eq!(engine.close(common::PATIENCE), Outcome::Done);
-    drop(engine);
+    let live = ready.start(options).expect("it starts");
+    assert!(live.engine().wait(Some(common::PATIENCE)));
+    assert_eq!(live.engine().close(common::PATIENCE), Outcome::Done);
+    drop(live);
     recorder.finish();
     let recording = Arc::new(Recording::open(&file).expect("a recording"));
     let found = points(Request { recording: Some(recording), ..request("level.gain", "level.levels.max") });

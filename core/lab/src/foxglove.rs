@@ -3,7 +3,6 @@
 use anyhow::Result;
 use panoscope_cli::commands::run::{Arguments, Server};
 use panoscope_cli::terminal::log;
-use panoscope_engine::Engine;
 use panoscope_export::live::{FoxgloveServer, Options};
 use panoscope_host::loader::Live;
 
@@ -30,7 +29,7 @@ impl Server for Foxglove {
         Ok(())
     }
 
-    fn update(&mut self, live: &mut Live<&Engine>) {
+    fn update(&mut self, live: &mut Live) {
         let lines = self.server.as_mut().map(|server| server.update(live)).unwrap_or_default();
         lines.iter().for_each(|line| log!("{line}"));
     }

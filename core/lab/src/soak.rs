@@ -49,27 +49,23 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let mut soak = Soak::default();
     let settings = Disturbances { edit_every_s: arguments.edit_every, kill_every_s: arguments.kill_every };
     let mut disturber = None;
-    let ran = run::run_with(
-        &arguments.run,
-        None,
-        foxglove::server(&arguments.run),
-        |Running { live, catalog, expected_faults }| {
+    let ran =
+        run::run_with(&arguments.run, None, foxglove::server(&arguments.run), |Running { live, expected_faults }| {
             let disturber = disturber.get_or_insert_with(|| {
                 let graph = live.engine().graph();
                 if arguments.kill_every.is_some() {
                     let isolated = graph.nodes.iter().filter(|node| node.isolate.is_some());
                     expected_faults.extend(isolated.map(|node| node.id.clone()));
                 }
-                Disturber::new(settings, live.text(), &graph, catalog)
+                Disturber::new(settings, live.text(), &graph, &live.loader().catalog_of_graph(&graph))
             });
-            if let Some(reason) = disturber.disturb(live) {
+            if soak.observe(live.engine()) >= arguments.minutes * 60.0 {
+                // From here on a change would be refused.
+                live.engine().stop();
+            } else if let Some(reason) = disturber.disturb(live) {
                 log!("warning: a change was refused: {reason}");
             }
-            if soak.observe(live.engine()) >= arguments.minutes * 60.0 {
-                live.engine().stop();
-            }
-        },
-    )?;
+        })?;
     let mut verdict = match ran {
         RunEnd::Not(end) => return Ok(end),
         RunEnd::Over { verdict, .. } => verdict,

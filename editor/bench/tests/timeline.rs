@@ -13,33 +13,23 @@ use panoscope_editor_model::computing::Request;
 use panoscope_editor_model::observe::{Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::timeline::{Held, Timeline, second};
-use panoscope_engine::{Engine, Options};
-use panoscope_graph::{GraphText, check};
-use panoscope_host::loader::{self as loader, Loader};
-use panoscope_record::{RecordOptions, Recorder, head};
+use panoscope_engine::Options;
+use panoscope_graph::GraphText;
+use panoscope_host::loader::graph_file;
+use panoscope_record::{RecordOptions, Recorder, Recording, head};
 
 const NONE: Modifiers = Modifiers::NONE;
 
 /// Records a number of ticks of every source, and of all other nodes where `all_ports` says so.
 fn record(path: &Path, text: &str, file: &Path, ticks: u64, all_ports: bool) {
-    let parsed = GraphText::parse(path, text);
-    let loader = Loader::search(&loader::search_path(&[]));
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().expect("it is right");
-    let head = head(&graph, &catalog, &loader, path, text, &[]);
+    let ready = graph_file::ready(&GraphText::parse(path, text)).expect("it is right");
     let recorder = RecordOptions { file: Some(file.to_owned()), all_ports, ..RecordOptions::default() };
-    let recorder = Recorder::start(recorder, head).expect("the file can be written");
-    let graph_dir = file.parent().expect("a folder").to_owned();
-    let options = Options {
-        observer: Some(Arc::clone(&recorder) as _),
-        frames: Some(ticks),
-        paced: false,
-        graph_dir,
-        ..Options::default()
-    };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
-    assert!(engine.wait(Some(PATIENCE)), "it does not end");
-    engine.close(PATIENCE);
+    let recorder = Recorder::start(recorder, head(&ready)).expect("the file can be written");
+    let options =
+        Options { observer: Some(Arc::clone(&recorder) as _), frames: Some(ticks), paced: false, ..Options::default() };
+    let live = ready.start(options).expect("it starts");
+    assert!(live.engine().wait(Some(PATIENCE)), "it does not end");
+    live.engine().close(PATIENCE);
     assert!(recorder.finish().failed.is_none());
 }
 
@@ -176,6 +166,8 @@ fn a_key_records_every_output_and_shows_the_recording() {
     window.until("the recording is shown", |app| app.timeline().is_some());
     let timeline = window.app().timeline().expect("it is shown");
     assert_eq!(timeline.path(), folder.0.join("g.recordings/g_0001.mcap"));
+    // In a replay the nodes make outputs without a reader again.
+    assert!(Recording::open(timeline.path()).expect("a recording").head.all_ports);
     let mean = Output::new("mean", "image");
     assert!(timeline.has(&mean), "{:?}", timeline.ports());
     window.until("a picture of a node that is no source", |app| app.shown_tick(&mean).is_some());
@@ -226,7 +218,7 @@ fn what_is_computed_from_the_sources_is_what_was_computed_when_they_were_recorde
     let mean = Output::new("mean", "image");
     let [all, mut sources] = files.each_ref().map(|file| Timeline::open(file, Arc::new(|| ())).expect("a recording"));
     assert_eq!((all.held(&mean), sources.held(&mean)), (Held::Recorded, Held::Lacking));
-    let loader = || Arc::new(Loader::search(&loader::search_path(&[])));
+    let loader = || Arc::new(graph_file::all_plugins());
     let compute = |timeline: &mut Timeline, text: &str| {
         let graph = (folder.0.join("g.toml"), text.to_owned());
         timeline.compute(Request { graph, loader: loader() }).expect("it starts");

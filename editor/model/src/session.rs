@@ -16,8 +16,9 @@ use std::time::{Duration, Instant};
 use panoscope_engine::sync::lock;
 use panoscope_engine::trace::Tracer;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
-use panoscope_graph::{Diagnostics, GraphText, Severity, check};
+use panoscope_graph::{Diagnostics, GraphText, Severity};
 use panoscope_host::attach::Attachment;
+use panoscope_host::loader::graph_file::{self, RunError};
 use panoscope_host::loader::live::LiveError;
 use panoscope_host::loader::sealed::readable;
 use panoscope_host::loader::verify::Seal;
@@ -347,7 +348,7 @@ impl Shared {
 
 struct Worker {
     shared: Arc<Shared>,
-    live: Option<Live<Arc<Engine>>>,
+    live: Option<Live>,
     /// Whether the engine, if any, is closed.
     done: bool,
     recorder: RunRecorder,
@@ -435,8 +436,8 @@ impl Worker {
         self.shared.update(|s| s.phase = Phase::Starting);
         let result = self.open(text);
         let message = result.map(|live| {
-            *lock(&self.shared.engine) = Some(Arc::clone(&live.0));
-            self.live = Some(live.1);
+            *lock(&self.shared.engine) = Some(Arc::clone(live.engine()));
+            self.live = Some(live);
             self.done = false;
             "started".to_owned()
         });
@@ -455,43 +456,33 @@ impl Worker {
         self.shared.update(|s| s.phase = phase);
     }
 
-    fn open(&mut self, text: &str) -> Result<(Arc<Engine>, Live<Arc<Engine>>), RunProblem> {
-        let path = &self.shared.path;
-        let parsed = GraphText::parse(path, text);
+    fn open(&mut self, text: &str) -> Result<Live, RunProblem> {
+        let parsed = GraphText::parse(&self.shared.path, text);
         let folders = loader::search_path(&parsed.plugin_paths());
         let mut loader = lock(&self.shared.loader).clone();
         if folders.iter().any(|f| !loader.folders().contains(f)) {
             loader = Arc::new(loader.rescan_in(&folders));
             *lock(&self.shared.loader) = Arc::clone(&loader);
         }
-        let catalog = loader.catalog_of(&parsed);
         let plain = |message: String| RunProblem { node: None, message: readable(&message), mistake: None };
-        let (mut graph, _) = check(&parsed, &catalog)
-            .into_result()
+        let mut ready = graph_file::ready_with(&parsed, loader)
             .map_err(|d| RunProblem { mistake: first_mistake(&d), ..plain(d.render(false)) })?;
-        let seal = lock(&self.shared.seal).clone();
-        if let Some(seal) = &seal {
-            seal.apply(&mut graph, &catalog).map_err(|error| plain(error.to_string()))?;
-        }
-        let recorder = self.recorder.start(|| panoscope_record::head(&graph, &catalog, &loader, path, text, &[]));
-        let recorder = recorder.map_err(|error| plain(error.to_string()))?;
+        ready.seal.clone_from(&lock(&self.shared.seal));
+        let recorder = self.recorder.start(&ready).map_err(|error| plain(error.to_string()))?;
         let options = Options {
             frames: self.shared.frames,
             observer: recorder.map(|recorder| recorder as _),
             tracer: lock(&self.shared.trace).clone().map(|trace| trace as Arc<dyn Tracer>),
-            graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
             // Windows start graphs without being asked: when they open, and after a crash.
             keep_outputs: true,
             ..Options::default()
         };
-        let engine = Engine::start(graph, &catalog, &loader, options).map_err(|error| match &error {
-            StartError::Open { node, .. } => RunProblem { node: Some(node.clone()), ..plain(error.to_string()) },
+        ready.start(options).map_err(|error| match &error {
+            RunError::Start(StartError::Open { node, .. }) => {
+                RunProblem { node: Some(node.clone()), ..plain(error.to_string()) }
+            }
             _ => plain(error.to_string()),
-        })?;
-        let engine = Arc::new(engine);
-        let mut live = Live::new(Arc::clone(&engine), path, text.to_owned(), Vec::new(), loader);
-        live.set_seal(seal);
-        Ok((engine, live))
+        })
     }
 
     fn reload(&mut self) {
@@ -499,7 +490,7 @@ impl Worker {
             return;
         }
         if let Some(live) = &mut self.live {
-            let text = live.text().to_owned();
+            let text = Arc::clone(&lock(&self.shared.status).running);
             let result = live.reload_plugins();
             *lock(&self.shared.loader) = Arc::clone(live.loader());
             self.report(result.map(|applied| applied.to_string()).map_err(|e| problem(&e)), &text);

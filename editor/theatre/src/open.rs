@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use panoscope_editor_model::texts::{Phrase, phrase, text};
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, check};
+use panoscope_graph::{Diagnostics, GraphText};
 use panoscope_host::audit::LockFacts;
 use panoscope_host::loader::keys::Trust;
 use panoscope_host::loader::lock::{ALWAYS_LOCKED, Difference, Lock, LockError, lock_path};
 use panoscope_host::loader::verify::{self, Seal, VerifyError};
-use panoscope_host::loader::{self as loader, Loader};
+use panoscope_host::loader::{Loader, graph_file};
 
 use panoscope_monitor::Address;
 use serde::{Deserialize, Serialize};
@@ -153,15 +153,6 @@ pub struct Ready {
     pub(super) seal: Option<Arc<Seal>>,
 }
 
-/// A checked graph and where it comes from.
-struct Checked {
-    graph: Graph,
-    catalog: Catalog,
-    loader: Loader,
-    seal: Option<Arc<Seal>>,
-    lock: Option<LockFacts>,
-}
-
 impl From<VerifyError> for OpenError {
     fn from(error: VerifyError) -> Self {
         match error {
@@ -186,10 +177,9 @@ fn trusted_lock(path: &Path, trust: &Trust) -> Result<Option<(Lock, LockFacts)>,
 }
 
 /// Opens a graph under its lock; `None` as for [`trusted_lock`]. Nothing of it has run where this is an error of the lock.
-fn under_lock(parsed: &GraphText, trust: &Trust) -> Result<Option<Checked>, OpenError> {
+fn under_lock(parsed: &GraphText, trust: &Trust) -> Result<Option<(graph_file::Ready, LockFacts)>, OpenError> {
     let Some((lock, facts)) = trusted_lock(parsed.path(), trust)? else { return Ok(None) };
-    let verify::Verified { graph, catalog, loader, seal, .. } = verify::open(parsed, &lock, &ALWAYS_LOCKED)?;
-    Ok(Some(Checked { graph, catalog, loader, seal: Some(seal), lock: Some(facts) }))
+    Ok(Some((verify::open(parsed, &lock, &ALWAYS_LOCKED)?, facts)))
 }
 
 /// Loads what a graph needs that an earlier process opened under the lock `known`. Files that are not as they were locked are withheld: what does not
@@ -203,14 +193,6 @@ pub(super) fn reopen(
         Some((lock, facts)) if Some(&facts) == known => Ok(Some(verify::reopen(parsed, &lock, &ALWAYS_LOCKED)?)),
         _ => Ok(None),
     }
-}
-
-/// Checks a graph without a lock.
-fn without_lock(parsed: &GraphText) -> Result<Checked, OpenError> {
-    let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
-    let catalog = loader.catalog_of(parsed);
-    let (graph, _) = check(parsed, &catalog).into_result().map_err(OpenError::Graph)?;
-    Ok(Checked { graph, catalog, loader, seal: None, lock: None })
 }
 
 impl Ready {
@@ -228,13 +210,14 @@ impl Ready {
     /// See [`OpenError`].
     pub fn of(parsed: &GraphText, options: &Options) -> Result<Self, OpenError> {
         let mut overridden = None;
+        let mut lock = None;
+        let without_lock = || graph_file::ready(parsed).map_err(OpenError::Graph);
         let (checked, verified) = match under_lock(parsed, &options.trust) {
-            Ok(Some(checked)) => {
-                let signed_by = checked.lock.as_ref().and_then(|lock| lock.signed_by.clone());
-                let verified = signed_by.map_or(Verified::AsLocked, Verified::Signed);
-                (checked, verified)
+            Ok(Some((checked, facts))) => {
+                let signed_by = lock.insert(facts).signed_by.clone();
+                (checked, signed_by.map_or(Verified::AsLocked, Verified::Signed))
             }
-            Ok(None) => (without_lock(parsed)?, Verified::Never),
+            Ok(None) => (without_lock()?, Verified::Never),
             // Mistakes of the graph are no difference that can be overridden.
             Err(error @ OpenError::Graph(_)) => return Err(error),
             Err(error) if options.unlocked => {
@@ -243,11 +226,11 @@ impl Ready {
                     OpenError::Locked(differences) => differences.first().map(ToString::to_string),
                     _ => None,
                 };
-                (without_lock(parsed)?, Verified::Differs(first.unwrap_or_else(|| error.to_string())))
+                (without_lock()?, Verified::Differs(first.unwrap_or_else(|| error.to_string())))
             }
             Err(error) => return Err(error),
         };
-        let Checked { graph, catalog, loader, seal, lock } = checked;
+        let graph_file::Ready { graph, catalog, loader, seal, .. } = checked;
         let mut plan = Plan::of(&graph, &catalog);
         if let Some(address) = options.web {
             let what = phrase!("listens-page", address = address.socket().to_string());
@@ -258,6 +241,6 @@ impl Ready {
         }
         let text = parsed.flattened(&catalog).into_owned();
         let opened = Opened { plan, verified, text, lock, overridden, sealed: seal.is_some() };
-        Ok(Self { opened, loader: Arc::new(loader), seal })
+        Ok(Self { opened, loader, seal })
     }
 }

@@ -10,14 +10,14 @@ use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphOptions, GraphText, OnFault, ParamValue, installed};
+use panoscope_graph::{Diagnostics, GraphOptions, GraphText, OnFault, ParamValue, installed};
 use panoscope_host::attach::Attachable;
 use panoscope_host::loader::Live;
-use panoscope_host::loader::graph_file::Ready;
+use panoscope_host::loader::graph_file::{Ready, RunError};
 use panoscope_host::loader::live::FileWatch;
 use panoscope_host::loader::lock::{ALWAYS_LOCKED, Lock, LockError, lock_path};
 use panoscope_host::loader::sealed::readable;
-use panoscope_host::loader::verify::{self, Seal, VerifyError};
+use panoscope_host::loader::verify::{self, VerifyError};
 use panoscope_monitor::{Address, Monitor};
 use panoscope_record::timeline::{self, Timeline};
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
@@ -131,7 +131,7 @@ pub trait Server {
     /// The address cannot be used.
     fn start(&mut self, graph: &str) -> Result<()>;
     /// Passes on what is new; called ten times a second.
-    fn update(&mut self, live: &mut Live<&Engine>);
+    fn update(&mut self, live: &mut Live);
 }
 
 /// Runs a graph to its end, with a server for `--foxglove`.
@@ -155,9 +155,6 @@ pub enum RunEnd {
     },
 }
 
-/// A checked graph, with its sealed files if it runs under its lock.
-type Opened = (Ready, Option<Arc<Seal>>);
-
 /// A graph that does not run as requested.
 #[derive(Debug, thiserror::Error)]
 enum OpenError {
@@ -180,23 +177,20 @@ enum OpenError {
 }
 
 /// Reads and checks the graph, under its lock if requested.
-fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, OpenError>> {
+fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Ready, OpenError>> {
     if arguments.isolated.is_on() && (arguments.watch || arguments.lock) {
         return Ok(Err(OpenError::Isolated));
     }
     let path = &arguments.graph;
     let rendered = |found: Diagnostics| OpenError::Graph { rendered: found.render(stderr_color()) };
-    if !arguments.lock {
-        let ready = GraphText::load_with(path, given).and_then(|text| {
-            let loader = arguments.isolated.loader(&text.plugin_paths());
-            arguments.isolated.ready(&text, loader)
-        });
-        return Ok(ready.map(|ready| (ready, None)).map_err(rendered));
-    }
     let text = match GraphText::load_with(path, given) {
         Ok(text) => text,
         Err(diagnostics) => return Ok(Err(rendered(diagnostics))),
     };
+    if !arguments.lock {
+        let loader = arguments.isolated.loader(&text.plugin_paths());
+        return Ok(arguments.isolated.ready(&text, loader).map_err(rendered));
+    }
     let never = || LockError::Never { graph: path.clone(), file: lock_path(path) };
     let lock = Lock::read(path).and_then(|lock| lock.ok_or_else(never));
     let trust = arguments.keys.trusted()?;
@@ -205,19 +199,17 @@ fn open(arguments: &Arguments, given: &GraphOptions) -> Result<Result<Opened, Op
         Err(error) => return Ok(Err(error.into())),
     };
     Ok(match verify::open(&text, &lock, &ALWAYS_LOCKED) {
-        Ok(verify::Verified { graph, catalog, loader, warnings, seal }) => {
-            match text.settings().iter().find(|setting| !is_offered(&graph, &catalog, setting)) {
-                Some(setting) => Err(OpenError::NotOffered { setting: setting.clone() }),
-                None => Ok((Ready { text, graph, catalog, loader, warnings }, Some(seal))),
-            }
-        }
+        Ok(ready) => match text.settings().into_iter().find(|setting| !is_offered(&ready, setting)) {
+            Some(setting) => Err(OpenError::NotOffered { setting }),
+            None => Ok(ready),
+        },
         Err(VerifyError::Check(diagnostics)) => Err(rendered(diagnostics)),
         Err(error) => Err(OpenError::Verify(error)),
     })
 }
 
 /// Whether the preset of a checked graph pins the parameter of `node.param=value` with a range that has its value.
-fn is_offered(graph: &Graph, catalog: &Catalog, setting: &str) -> bool {
+fn is_offered(Ready { graph, catalog, .. }: &Ready, setting: &str) -> bool {
     let target = setting.split_once('=').map_or(setting, |(target, _)| target).trim();
     graph.preset.pinned.iter().any(|pin| {
         let node = &graph.nodes[pin.node];
@@ -232,32 +224,29 @@ fn is_offered(graph: &Graph, catalog: &Catalog, setting: &str) -> bool {
 }
 
 /// A graph that runs.
-pub struct Running<'e> {
+pub struct Running {
     /// Its engine and its text.
-    pub live: Live<&'e Engine>,
-    /// Catalogue that it was checked against.
-    pub catalog: &'e Catalog,
+    pub live: Live,
     /// Nodes whose faults do not fail the run, because the command causes them.
     pub expected_faults: BTreeSet<String>,
 }
 
 /// Reads and checks the graph, see [`open`]. Prints its mistakes and warnings; `None` if it cannot run.
-fn open_and_report(arguments: &Arguments, given: &GraphOptions) -> Result<Option<Opened>> {
-    let opened = match open(arguments, given)? {
-        Ok(opened) => opened,
+fn open_and_report(arguments: &Arguments, given: &GraphOptions) -> Result<Option<Ready>> {
+    let ready = match open(arguments, given)? {
+        Ok(ready) => ready,
         Err(error) => {
             log!("{}", error.to_string().trim_end());
             return Ok(None);
         }
     };
-    let warnings = &opened.0.warnings;
-    if !warnings.is_empty() {
-        log!("{}", warnings.render(stderr_color()).trim_end());
+    if !ready.warnings.is_empty() {
+        log!("{}", ready.warnings.render(stderr_color()).trim_end());
     }
     if let Some(notice) = installed::notice(&arguments.graph) {
         log!("note: {notice}");
     }
-    Ok(Some(opened))
+    Ok(Some(ready))
 }
 
 /// What serves a running graph to other programs.
@@ -291,19 +280,6 @@ impl Outlets {
     }
 }
 
-/// Starts the recorder of a checked graph whose text holds all parts, arguments and overlays, so that a recording needs no other file.
-fn start_recorder(
-    arguments: &Arguments,
-    ready: &Ready,
-    text: &str,
-    settings: &[String],
-    options: RecordOptions,
-) -> Result<Arc<Recorder>> {
-    let mut head = head(&ready.graph, &ready.catalog, &ready.loader, &arguments.graph, text, settings);
-    head.all_ports = options.all_ports;
-    Ok(Recorder::start(options, head)?)
-}
-
 /// Options of the engine, without those that observe or trace the run.
 fn engine_options(arguments: &Arguments, progress: &Progress, numbers: &TickNumbers) -> Result<Options> {
     let faults = match &arguments.fault_log {
@@ -314,7 +290,6 @@ fn engine_options(arguments: &Arguments, progress: &Progress, numbers: &TickNumb
         threads: arguments.threads.map_or(0, usize::from),
         frames: arguments.last_frame(),
         paced: !arguments.unpaced,
-        graph_dir: arguments.graph.parent().unwrap_or(Path::new("")).to_owned(),
         log: Some(log_lines::sink(arguments.verbose, arguments.log_format, stderr_color(), progress.line_writer())),
         process_allocations: allocations::process(),
         thread_allocations: allocations::thread(),
@@ -342,7 +317,7 @@ pub fn run_with(
         terminal::write_json_lines();
     }
     let given = arguments.given.options(&arguments.set);
-    let Some((mut ready, seal)) = open_and_report(arguments, &given)? else { return Ok(RunEnd::Not(End::Wrong)) };
+    let Some(ready) = open_and_report(arguments, &given)? else { return Ok(RunEnd::Not(End::Wrong)) };
     let Some(mut outlets) = Outlets::start(arguments, server, &ready.graph.name) else {
         return Ok(RunEnd::Not(End::Failed));
     };
@@ -355,20 +330,20 @@ pub fn run_with(
         }
     };
     let options = engine_options(arguments, &progress, &numbers)?;
-    let (text, settings) = (ready.text.flattened(&ready.catalog).into_owned(), ready.text.settings());
-    let recorder = record.map(|options| start_recorder(arguments, &ready, &text, &settings, options)).transpose()?;
+    let recorder = record.map(|options| Recorder::start(options, head(&ready))).transpose()?;
     let timeline = arguments.trace.is_some().then(|| Arc::new(Timeline::default()));
     let options = Options {
         observer: recorder.clone().map(|recorder| recorder as _),
         tracer: timeline.clone().map(|timeline| timeline as _),
         ..options
     };
-    // Not before the recording's head has the names of the files.
-    if let Some(seal) = &seal {
-        seal.apply(&mut ready.graph, &ready.catalog)?;
-    }
-    let engine = match Engine::start(ready.graph, &ready.catalog, &ready.loader, options) {
-        Ok(engine) => engine,
+    let files = arguments.watch.then(|| {
+        let files = ready.text.files().into_iter().skip(1).map(|f| PathBuf::from(f.path));
+        FileWatch::new(&arguments.graph, &ready.loader).with_files(files)
+    });
+    let live = match ready.start(options) {
+        Ok(live) => live,
+        Err(RunError::NotLocked(error)) => return Err(error.into()),
         Err(error) => {
             progress.finish();
             log!("error: {}", readable(&error.to_string()));
@@ -378,13 +353,8 @@ pub fn run_with(
     };
     let on_duty = on_duty.watching();
     allocations::exclude_this_thread();
-    let files = arguments.watch.then(|| {
-        let files = ready.text.files().into_iter().skip(1).map(|f| PathBuf::from(f.path));
-        FileWatch::new(&arguments.graph, &ready.loader).with_files(files)
-    });
-    let mut live = Live::new(&engine, &arguments.graph, text, settings, ready.loader);
-    live.set_seal(seal);
-    let running = Running { live, catalog: &ready.catalog, expected_faults: BTreeSet::new() };
+    let engine = Arc::clone(live.engine());
+    let running = Running { live, expected_faults: BTreeSet::new() };
     let expected_faults =
         attend(&engine, running, &mut outlets, files.map(|files| (files, &given)), &mut progress, look);
     let mut verdict = close(&engine, on_duty, arguments.frames, &progress, &expected_faults);
@@ -490,7 +460,7 @@ pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
 }
 
 /// Applies the changed files to the running graph, or reports why not.
-fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphOptions) {
+fn apply_changes(files: &mut FileWatch, live: &mut Live, given: &GraphOptions) {
     let changed = files.poll();
     let mut results = Vec::new();
     if changed.plugins {

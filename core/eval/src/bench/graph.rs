@@ -2,13 +2,13 @@
 
 use std::fmt::Write as _;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Report};
 use panoscope_graph::GraphText;
-use panoscope_host::loader::graph_file;
 
-use crate::error::{EvalError, Result};
+use crate::error::Result;
 use crate::run;
 use crate::session::{Session, check_cancelled};
 use crate::system::usage;
@@ -101,15 +101,9 @@ pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
 }
 
 /// Starts a graph, for a number of frames or until it is stopped.
-pub fn start(session: &dyn Session, text: &str, frames: Option<u64>) -> Result<Engine> {
+pub fn start(session: &dyn Session, text: &str, frames: Option<u64>) -> Result<Arc<Engine>> {
     check_cancelled(session)?;
-    let text = GraphText::parse(Path::new("bench.toml"), text);
-    let ready = match graph_file::ready(&text) {
-        Ok(ready) => ready,
-        Err(diagnostics) => {
-            return Err(EvalError::Graph { diagnostics: diagnostics.render(false).trim_end().to_owned() });
-        }
-    };
+    let ready = run::ready(&GraphText::parse(Path::new("bench.toml"), text))?;
     let counters = session.allocation_counters();
     let options = Options {
         frames,
@@ -117,5 +111,5 @@ pub fn start(session: &dyn Session, text: &str, frames: Option<u64>) -> Result<E
         thread_allocations: counters.thread,
         ..Options::default()
     };
-    Ok(Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?)
+    Ok(Arc::clone(ready.start(options)?.engine()))
 }

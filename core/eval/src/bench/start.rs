@@ -3,14 +3,14 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use panoscope_engine::{Engine, Options};
+use panoscope_engine::Options;
 use panoscope_graph::GraphText;
-use panoscope_host::loader::graph_file;
 
 use super::graph::{self, Pace};
 use crate::error::{Context, EvalError, Result};
 use crate::figures::Figure;
 use crate::inputs::embedded;
+use crate::run;
 
 const NODES: usize = 1_000;
 
@@ -23,20 +23,15 @@ fn once(parse: &dyn Fn() -> Result<GraphText>, settings: &[String]) -> Result<(f
     let begin = Instant::now();
     let mut text = parse()?;
     settings.iter().for_each(|setting| text.set(setting));
-    let ready = match graph_file::ready(&text) {
-        Ok(ready) => ready,
-        Err(diagnostics) => {
-            return Err(EvalError::Graph { diagnostics: diagnostics.render(false).trim_end().to_owned() });
-        }
-    };
+    let ready = run::ready(&text)?;
     let checked = begin.elapsed();
     let options = Options { frames: Some(1), paced: false, ..Options::default() };
-    let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
-    if !engine.wait(Some(Duration::from_secs(60))) {
+    let live = ready.start(options)?;
+    if !live.engine().wait(Some(Duration::from_secs(60))) {
         return Err(EvalError::Incomplete { what: "the first tick did not finish within a minute".to_owned() });
     }
     let through = begin.elapsed();
-    engine.close(Duration::from_secs(10));
+    live.engine().close(Duration::from_secs(10));
     Ok((through.as_secs_f64() * 1e3, checked.as_secs_f64() * 1e3))
 }
 

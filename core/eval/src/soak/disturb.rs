@@ -1,6 +1,5 @@
 //! Disturbances of a soak test: changed parameters, removed and restored sinks, killed processes.
 
-use std::ops::Deref;
 use std::time::Instant;
 
 use panoscope_base::random::{SplitMix64, unit};
@@ -92,7 +91,7 @@ impl Disturber {
     }
 
     /// Makes the disturbances that are due. Returns the refusal of an edit.
-    pub fn disturb<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Option<EditRefused> {
+    pub fn disturb(&mut self, live: &mut Live) -> Option<EditRefused> {
         let seconds = self.began.elapsed().as_secs_f64();
         let is_due =
             |every: Option<f64>, so_far: u64| every.is_some_and(|every| seconds >= every * (so_far + 1) as f64);
@@ -139,7 +138,7 @@ impl Disturber {
     }
 
     /// Removes a sink while another remains. Returns whether there was one.
-    fn remove_sink<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Result<bool, EditRefused> {
+    fn remove_sink(&mut self, live: &mut Live) -> Result<bool, EditRefused> {
         if self.sinks.len() < 2 {
             return Ok(false);
         }

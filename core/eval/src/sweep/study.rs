@@ -7,8 +7,8 @@ use std::time::Instant;
 
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::sync::lock;
-use panoscope_graph::{Catalog, Graph, GraphText, check};
-use panoscope_host::loader::Loader;
+use panoscope_graph::{GraphText, check};
+use panoscope_host::loader::{Loader, graph_file};
 use panoscope_record::{Head, Recording};
 use toml::{Table, Value};
 
@@ -127,18 +127,16 @@ fn split(param: &str) -> Result<(&str, &str), SweepError> {
     param.rsplit_once('.').ok_or_else(|| bad_param(param, "write it as NODE.PARAMETER, such as match.block_px"))
 }
 
-/// A checked graph.
+/// A checked graph, and what became of its settings.
 struct Ready {
-    graph: Graph,
-    catalog: Catalog,
-    text: String,
+    checked: graph_file::Ready,
     settings: Vec<String>,
     dropped: Vec<String>,
 }
 
 impl StudyRequest {
     /// The graph with these types of nodes, without the parameters that they lack.
-    fn ready(&self, types: &[(&str, &str)], loader: &Loader) -> Result<Ready, SweepError> {
+    fn ready(&self, types: &[(&str, &str)], loader: &Arc<Loader>) -> Result<Ready, SweepError> {
         let mut text = self.text.clone();
         let mut settings = self.settings.clone();
         let mut dropped = Vec::new();
@@ -179,35 +177,36 @@ impl StudyRequest {
         }
         let mut parsed = GraphText::parse(&self.path, &text);
         settings.iter().for_each(|setting| parsed.set(setting));
-        let catalog = loader.catalog_of(&parsed);
-        let (graph, _) = check(&parsed, &catalog).into_result().map_err(SweepError::Check)?;
-        Ok(Ready { graph, catalog, text, settings, dropped })
+        let checked = graph_file::ready_with(&parsed, Arc::clone(loader)).map_err(SweepError::Check)?;
+        Ok(Ready { checked, settings, dropped })
     }
 
     /// Reduces a checked graph to the part that is run. `varied` are the nodes of the axes.
-    fn variant(&self, types: &[(&str, &str)], ready: Ready, loader: &Loader) -> Result<Variant, SweepError> {
-        let Ready { graph, catalog, text, mut settings, dropped } = ready;
+    fn variant(&self, types: &[(&str, &str)], ready: Ready) -> Result<Variant, SweepError> {
+        let Ready { checked, mut settings, dropped } = ready;
+        let (graph, catalog) = (&checked.graph, &checked.catalog);
         let found: Result<Vec<(Measure, usize)>, SweepError> =
-            self.measures.iter().map(|measure| Measure::of(measure, &graph, &catalog)).collect();
+            self.measures.iter().map(|measure| Measure::of(measure, graph, catalog)).collect();
         let (measures, nodes): (Vec<Measure>, Vec<usize>) = found?.into_iter().unzip();
-        let kept = part::needed(&graph, &nodes);
+        let kept = part::needed(graph, &nodes);
         let names = self.measures.join("`, `");
         for axis in &self.axes {
             let (id, _) = split(&axis.param)?;
-            let node = graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&graph, id)))?;
+            let node = graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(graph, id)))?;
             if !kept[node] {
                 let reason =
                     format!("`{id}` is not upstream of `{names}`, so it has no effect on them: vary another parameter");
                 return Err(bad_param(&axis.param, reason));
             }
-            if self.recording.is_some() && graph.nodes[node].node_type(&catalog).source {
+            if self.recording.is_some() && graph.nodes[node].node_type(catalog).source {
                 let reason = format!("the recording replaces source `{id}`: sweep another node");
                 return Err(bad_param(&axis.param, reason));
             }
         }
-        part::refuse_acting(&graph, &catalog, &kept, &names)?;
-        let head = panoscope_record::head(&graph, &catalog, loader, &self.path, &text, &settings);
-        let text = part::text(&text, &graph, &kept).map_err(|error| bad_param("graph", error.to_string()))?;
+        part::refuse_acting(graph, catalog, &kept, &names)?;
+        let head = panoscope_record::head(&checked);
+        let text =
+            part::text(checked.text.text(), graph, &kept).map_err(|error| bad_param("graph", error.to_string()))?;
         settings.retain(|setting| {
             let node = setting.split_once('.').and_then(|(node, _)| graph.node(node.trim()));
             node.is_some_and(|n| kept[n])
@@ -248,8 +247,12 @@ impl Study {
         let mut type_axes: Vec<(&str, &Vec<String>)> = Vec::new();
         for axis in &request.axes {
             let (id, name) = split(&axis.param)?;
-            let node = whole.graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&whole.graph, id)))?;
-            if name == TYPE && whole.graph.nodes[node].node_type(&whole.catalog).param(TYPE).is_none() {
+            let node = whole
+                .checked
+                .graph
+                .node(id)
+                .ok_or_else(|| bad_param(&axis.param, part::no_node(&whole.checked.graph, id)))?;
+            if name == TYPE && whole.checked.graph.nodes[node].node_type(&whole.checked.catalog).param(TYPE).is_none() {
                 let AxisValues::List(types) = &axis.values else {
                     return Err(bad_param(&axis.param, "name the types: NODE.type=TYPE,TYPE"));
                 };
@@ -270,7 +273,7 @@ impl Study {
                 axes = found;
             }
             check_lists(&request, &ready, &type_axes, &loader)?;
-            variants.push(request.variant(&types, ready, &loader)?);
+            variants.push(request.variant(&types, ready)?);
         }
         let runs = match request.plan {
             Plan::Grid => {
@@ -444,8 +447,9 @@ fn resolve(
     if let Some((_, types)) = type_axes.iter().find(|(node, _)| *node == id && name == TYPE) {
         return Ok(Axis { has_words: true, is_type: true, ..Axis::of_list(&axis.param, "", types) });
     }
-    let node = ready.graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&ready.graph, id)))?;
-    let node_type = ready.graph.nodes[node].node_type(&ready.catalog);
+    let node =
+        ready.checked.graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(&ready.checked.graph, id)))?;
+    let node_type = ready.checked.graph.nodes[node].node_type(&ready.checked.catalog);
     let declared = node_type.param(name).map(|at| &node_type.params[at]).ok_or_else(|| {
         let names: Vec<&str> = node_type.params.iter().map(|p| p.name.as_str()).collect();
         let reason = format!("`{id}` ({}) has no such parameter; it has {}", node_type.name, part::list(&names));
@@ -471,8 +475,7 @@ fn check_lists(
             continue;
         }
         for value in list {
-            let mut parsed = GraphText::parse(&request.path, &ready.text);
-            ready.settings.iter().for_each(|setting| parsed.set(setting));
+            let mut parsed = ready.checked.text.clone();
             parsed.set(&format!("{}={value}", axis.param));
             check(&parsed, &loader.catalog_of(&parsed)).into_result().map_err(SweepError::Check)?;
         }

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use panoscope_engine::sync::lock;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome};
-use panoscope_graph::{GraphText, check};
-use panoscope_host::loader::Loader;
+use panoscope_graph::GraphText;
+use panoscope_host::loader::{Loader, graph_file};
 use panoscope_record::{Recording, Replay, ReplayOptions};
 
 use super::measure::{Measure, NoSummary, Received, Summary};
@@ -50,7 +50,6 @@ impl Trial<'_> {
             threads: self.threads,
             frames: Some(self.frames),
             paced: false,
-            graph_dir: self.path.parent().unwrap_or(Path::new("")).to_owned(),
             listen: self.listeners(&received),
             numbers: self.number_listeners(&received),
             ..Options::default()
@@ -86,12 +85,9 @@ impl Trial<'_> {
             None => {
                 let mut parsed = GraphText::parse(self.path, self.text);
                 settings.iter().for_each(|setting| parsed.set(setting));
-                let catalog = self.loader.catalog_of(&parsed);
-                let checked = check(&parsed, &catalog).into_result();
-                let (graph, _) = checked.map_err(|d| NoSummary::Run(d.render(false)))?;
-                let started = Engine::start(graph, &catalog, self.loader, options);
-                let engine = started.map_err(|error| NoSummary::Run(error.to_string()))?;
-                wait(&engine)
+                let ready = graph_file::ready_with(&parsed, Arc::clone(self.loader));
+                let ready = ready.map_err(|d| NoSummary::Run(d.render(false)))?;
+                wait(ready.start(options).map_err(|error| NoSummary::Run(error.to_string()))?.engine())
             }
         };
         if let Outcome::Failed(reason) = outcome {

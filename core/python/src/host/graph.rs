@@ -4,10 +4,10 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
+use panoscope_engine::Options;
 use panoscope_engine::inbox::{Full, Inbox};
-use panoscope_engine::{Engine, Options};
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, ParamKind, ParamValue, check, command_line};
-use panoscope_host::loader::{self as loader, Live, Loader};
+use panoscope_graph::{Catalog, Graph, GraphText, Mode, ParamKind, ParamValue, command_line};
+use panoscope_host::loader::{self as loader, Loader, graph_file};
 use panoscope_record::{FileHash, RecordOptions, Recorder, ReplayOptions, hash_file, head};
 use pyo3::prelude::*;
 use serde::Serialize;
@@ -32,22 +32,14 @@ pub struct GraphFile {
 
 /// A checked graph, or the part of it that the watched outputs need.
 pub struct Ready {
-    text: GraphText,
-    graph: Graph,
-    catalog: Catalog,
-    loader: Loader,
-    warnings: Diagnostics,
+    checked: graph_file::Ready,
     watched: Vec<Watched>,
 }
 
 impl Ready {
     /// The text of the running graph: one file, with arguments and settings in place.
     fn settled(&self) -> Result<String, Problem> {
-        self.text.settled(&self.catalog).map_err(|error| Problem::Use(error.to_string()))
-    }
-
-    fn folder(&self) -> PathBuf {
-        self.text.path().parent().unwrap_or(Path::new("")).to_owned()
+        self.checked.text.settled(&self.checked.catalog).map_err(|error| Problem::Use(error.to_string()))
     }
 }
 
@@ -84,35 +76,35 @@ impl GraphFile {
             let nodes: Vec<&str> = targets.iter().map(|(node, _)| node.as_str()).collect();
             text.reduce_to(&nodes, &loader.offers());
         }
-        let catalog = loader.catalog_of(&text);
-        let (graph, warnings) = check(&text, &catalog).into_result()?;
+        let checked = graph_file::ready_with(&text, loader)?;
+        let (graph, catalog) = (&checked.graph, &checked.catalog);
         let mut watched = Vec::new();
         for ((node, output), name) in targets.into_iter().zip(watch) {
-            let node_type = graph.node(&node).map(|index| graph.nodes[index].node_type(&catalog));
+            let node_type = graph.node(&node).map(|index| graph.nodes[index].node_type(catalog));
             let port = node_type.and_then(|of| Some(&of.outputs[of.output(&output)?]));
             let Some(port) = port else {
-                let all = outputs(&graph, &catalog).join(", ");
+                let all = outputs(graph, catalog).join(", ");
                 return Err(Problem::Use(format!("there is no output `{name}`; the outputs are {all}")));
             };
             watched.push(Watched { node, output, packet: port.packet.name.clone() });
         }
-        Ok(Ready { text, graph, catalog, loader, warnings, watched })
+        Ok(Ready { checked, watched })
     }
 
     fn start_with(&self, how: &Start) -> Result<Running, Problem> {
         let ready = self.ready(&how.watch, how.is_part)?;
-        let text = ready.settled()?;
+        // A later change of a parameter overrides its setting.
+        let text = GraphText::parse(self.text.path(), &ready.settled()?);
+        let Ready { checked, watched } = ready;
+        let ready = graph_file::Ready { text, ..checked };
         let full = if ready.graph.mode == Mode::Batch || how.keeps_all { Full::Wait } else { Full::Drop };
         let inbox = Arc::new(Inbox::new(MAX_WAITING, full));
         let lines = Lines::default();
         let recorder = match &how.record {
             Some(file) => {
-                let (graph, path) = (&ready.graph, self.text.path());
-                let mut head = head(graph, &ready.catalog, &ready.loader, path, &text, &[]);
-                head.all_ports = how.all_ports;
                 let options =
                     RecordOptions { file: Some(file.clone()), all_ports: how.all_ports, ..RecordOptions::default() };
-                Some(Recorder::start(options, head).map_err(|error| Problem::Recording(error.to_string()))?)
+                Some(Recorder::start(options, head(&ready)).map_err(|error| Problem::Recording(error.to_string()))?)
             }
             None => None,
         };
@@ -120,17 +112,15 @@ impl GraphFile {
             threads: how.threads,
             frames: how.frames,
             paced: how.paced,
-            graph_dir: ready.folder(),
             log: Some(lines.sink()),
             observer: recorder.clone().map(|recorder| recorder as _),
-            listen: inbox.listeners(&Watched::outputs(&ready.watched)),
+            listen: inbox.listeners(&Watched::outputs(&watched)),
             ..Options::default()
         };
-        let started = Engine::start(ready.graph, &ready.catalog, &ready.loader, options);
-        let engine = Arc::new(started.map_err(|error| Problem::Run(error.to_string()))?);
-        let live = Live::new(Arc::clone(&engine), self.text.path(), text, Vec::new(), ready.loader);
+        let live = ready.start(options).map_err(|error| Problem::Run(error.to_string()))?;
+        let engine = Arc::clone(live.engine());
         let run = Run::Graph { engine, live: Box::new(Mutex::new(live)), parts: Box::new(self.text.clone()) };
-        Ok(Running::new(run, inbox, lines, ready.watched, recorder))
+        Ok(Running::new(run, inbox, lines, watched, recorder))
     }
 
     /// The checked graph for a replay with more settings, and its settings with parameters of parts replaced by those
@@ -139,7 +129,7 @@ impl GraphFile {
         let mut text = self.text.clone();
         settings.iter().for_each(|setting| text.set(setting));
         let ready = Self { text }.ready(watch, !watch.is_empty())?;
-        let settings = ready.text.settings();
+        let settings = ready.checked.text.settings();
         Ok((ready, settings))
     }
 }
@@ -161,9 +151,8 @@ struct Provenance {
 }
 
 impl Provenance {
-    fn of(ready: Ready) -> Self {
-        let path = ready.text.path().to_owned();
-        let head = head(&ready.graph, &ready.catalog, &ready.loader, &path, "", &[]);
+    fn of(ready: &graph_file::Ready) -> Self {
+        let head = head(ready);
         let (mut written, mut acting) = (Vec::new(), Vec::new());
         for node in &ready.graph.nodes {
             let node_type = node.node_type(&ready.catalog);
@@ -241,7 +230,7 @@ impl GraphFile {
     /// Checks the graph; returns its warnings as JSON.
     fn check(&self, py: Python<'_>, watch: Vec<String>, is_part: bool) -> PyResult<String> {
         let ready = py.detach(|| self.ready(&watch, is_part)).map_err(|problem| problem.raise(py))?;
-        Ok(serde_json::to_string(&ready.warnings).unwrap_or_default())
+        Ok(serde_json::to_string(&ready.checked.warnings).unwrap_or_default())
     }
 
     /// Starts the graph.
@@ -264,7 +253,7 @@ impl GraphFile {
     /// Value of a parameter as JSON, while the graph does not run.
     fn get(&self, py: Python<'_>, param: &str) -> PyResult<String> {
         let get = || {
-            let ready = self.ready(&[], false)?;
+            let ready = self.ready(&[], false)?.checked;
             let resolved = self.text.resolve_param(param);
             value_of(&ready.graph, &ready.catalog, &resolved).map_err(|error| Problem::Use(error.to_string()))
         };
@@ -273,7 +262,7 @@ impl GraphFile {
 
     /// All outputs, as `node.output`, with the names of their packet types.
     fn outputs(&self, py: Python<'_>) -> PyResult<Vec<(String, String)>> {
-        let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?;
+        let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?.checked;
         let of = |node: &panoscope_graph::Node| {
             let ports = node.node_type(&ready.catalog).outputs.iter();
             ports.map(|port| (format!("{}.{}", node.id, port.name), port.packet.name.clone())).collect::<Vec<_>>()
@@ -283,7 +272,7 @@ impl GraphFile {
 
     /// Nodes and edges for a drawing of the graph.
     fn drawing(&self, py: Python<'_>) -> PyResult<Drawing> {
-        let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?;
+        let ready = py.detach(|| self.ready(&[], false)).map_err(|problem| problem.raise(py))?.checked;
         let (nodes, catalog) = (&ready.graph.nodes, &ready.catalog);
         let edge = |edge: &panoscope_graph::Edge| {
             let (from, to) = (&nodes[edge.from_node], &nodes[edge.to_node]);
@@ -306,7 +295,7 @@ impl GraphFile {
 
     /// What the results of a run depend on besides its inputs, and what the run writes, as JSON; see [`Provenance`].
     fn provenance(&self, py: Python<'_>) -> PyResult<String> {
-        let find = || Ok(serde_json::to_string(&Provenance::of(self.ready(&[], false)?)).unwrap_or_default());
+        let find = || Ok(serde_json::to_string(&Provenance::of(&self.ready(&[], false)?.checked)).unwrap_or_default());
         py.detach(find).map_err(|problem: Problem| problem.raise(py))
     }
 

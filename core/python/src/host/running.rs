@@ -51,7 +51,7 @@ impl Lines {
 }
 
 /// A running graph and its text.
-type LiveGraph = Mutex<Live<Arc<Engine>>>;
+type LiveGraph = Mutex<Live>;
 
 /// A run.
 pub enum Run {

@@ -10,9 +10,9 @@ use std::path::PathBuf;
 use crate::common::{PATIENCE, ledger, loader, number, scratch};
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::Cause;
-use panoscope_engine::{Engine, Options, Outcome, Report};
-use panoscope_graph::{GraphText, check};
-use panoscope_host::loader::Live;
+use panoscope_engine::{Options, Outcome, Report};
+use panoscope_graph::GraphText;
+use panoscope_host::loader::graph_file::ready_with;
 
 /// Changes of a case.
 const EDITS: usize = 16;
@@ -159,13 +159,10 @@ fn account(report: &Report, case: &Case) -> Result<(), String> {
 fn run(number: usize, seed: u64, policies: &[&'static str]) -> Result<(), String> {
     let mut dice = SplitMix64(seed.wrapping_mul(1_000_003).wrapping_add(number as u64));
     let mut case = Case::new(number, &mut dice);
-    let (loader, text) = (loader(), case.text());
-    let parsed = GraphText::parse("campaign.toml".as_ref(), &text);
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().map_err(|d| d.render(false))?;
+    let text = GraphText::parse("campaign.toml".as_ref(), &case.text());
+    let ready = ready_with(&text, loader()).map_err(|d| d.render(false))?;
     let options = Options { threads: 2, hang: PATIENCE, ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).map_err(|e| e.to_string())?;
-    let mut live = Live::new(Box::new(engine), "campaign.toml".as_ref(), text, Vec::new(), loader);
+    let mut live = ready.start(options).map_err(|e| e.to_string())?;
     for edit in 0..EDITS {
         // At any time of a call of `slow`.
         std::thread::sleep(std::time::Duration::from_micros(dice.below(40_000) as u64));

@@ -1,11 +1,13 @@
 //! A running graph is changed: whole changes or none, and nobody else notices.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::common::{PATIENCE, flow_plugin, loader, scratch};
 use panoscope_base::random::SplitMix64;
-use panoscope_engine::{Engine, Options};
-use panoscope_graph::{Graph, GraphText, check};
+use panoscope_engine::Options;
+use panoscope_graph::{Graph, GraphText};
+use panoscope_host::loader::graph_file::{Ready, ready_with};
 use panoscope_host::loader::live::{FileWatch, LiveError};
 use panoscope_host::loader::{Live, Loader};
 
@@ -22,18 +24,13 @@ fn node(id: &str, kind: &str, from: &str) -> String {
     format!("[nodes.{id}]\ntype = \"{kind}\"\ninputs = {{ image = {{ from = \"{from}\", queue = 200 }} }}\n")
 }
 
-fn checked(text: &str, loader: &Loader) -> (Graph, panoscope_graph::Catalog) {
-    let text = GraphText::parse("test.toml".as_ref(), text);
-    let catalog = loader.catalog(&text.plugins());
-    let (graph, _) = check(&text, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    (graph, catalog)
+fn checked(text: &str, loader: impl Into<Arc<Loader>>) -> Ready {
+    let ready = ready_with(&GraphText::parse("test.toml".as_ref(), text), loader);
+    ready.unwrap_or_else(|d| panic!("{}", d.render(false)))
 }
 
-fn live(text: &str, loader: Loader) -> Live<Box<Engine>> {
-    let (graph, catalog) = checked(text, &loader);
-    let engine =
-        Engine::start(graph, &catalog, &loader, Options { threads: 2, ..Options::default() }).expect("it starts");
-    Live::new(Box::new(engine), "test.toml".as_ref(), text.to_owned(), Vec::new(), loader)
+fn live(text: &str, loader: Loader) -> Live {
+    checked(text, loader).start(Options { threads: 2, ..Options::default() }).expect("it starts")
 }
 
 fn until(what: &str, mut done: impl FnMut() -> bool) {
@@ -179,7 +176,7 @@ fn a_reader_is_replaced_while_its_slow_producer_is_in_a_call() {
     let slow = node("slow", "pass_blocking", "a.image") + "params = { wait_ms = 100.0 }\n";
     let head = [HEAD, &source("a", 60.0), &slow, &node("end", "drain", "show.image")].concat();
     let mut live = live(&(head.clone() + &reader("pass", "")), loader());
-    let count = |live: &Live<Box<Engine>>| live.engine().report().nodes["end"].count;
+    let count = |live: &Live| live.engine().report().nodes["end"].count;
     until("frames flow", || count(&live) > 0);
     for (kind, policy) in [("gate", ""), ("gate", "cpu = 0"), ("pass_blocking", "cpu = 0"), ("pass", "")] {
         let applied = live.apply_text(&(head.clone() + &reader(kind, policy))).expect("a good change");
@@ -222,7 +219,7 @@ fn a_pause_ends_before_it_fills_the_frame_memory() {
     assert!(live.engine().recent_faults().is_empty(), "{:?}", live.engine().recent_faults());
 }
 
-fn random_edit(live: &mut Live<Box<Engine>>, dice: &mut SplitMix64, serial: usize) -> Result<Duration, LiveError> {
+fn random_edit(live: &mut Live, dice: &mut SplitMix64, serial: usize) -> Result<Duration, LiveError> {
     let graph = live.engine().graph();
     let ids: Vec<String> = graph.nodes.iter().map(|n| n.id.clone()).collect();
     let makers: Vec<&str> =
@@ -272,7 +269,7 @@ fn a_thousand_random_edits_end_with_the_graph_the_file_describes() {
             Err(_) => assert_eq!((described(&live.engine().graph()), live.text().to_owned()), before),
         }
     }
-    let (expected, _) = checked(live.text(), live.loader());
+    let expected = checked(live.text(), Arc::clone(live.loader())).graph;
     assert_eq!(described(&live.engine().graph()), described(&expected));
     // It is not only described: every node that can get frames gets them.
     let before = live.engine().report();

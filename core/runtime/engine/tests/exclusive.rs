@@ -2,9 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use crate::common::{PATIENCE, loader};
-use panoscope_engine::{Engine, Options};
-use panoscope_graph::{GraphText, check};
+use crate::common::{PATIENCE, ready};
+use panoscope_engine::Options;
 use panoscope_host::loader::Live;
 
 const TEXT: &str = r#"
@@ -22,17 +21,11 @@ type = "drain"
 inputs = { image = "camera.image" }
 "#;
 
-fn start() -> Live<Box<Engine>> {
-    let text = GraphText::parse("exclusive.toml".as_ref(), TEXT);
-    let loader = loader();
-    let catalog = loader.catalog(&text.plugins());
-    let (graph, _) = check(&text, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    let options = Options { threads: 2, ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
-    Live::new(Box::new(engine), "exclusive.toml".as_ref(), TEXT.to_owned(), Vec::new(), loader)
+fn start() -> Live {
+    ready("exclusive.toml", TEXT).start(Options { threads: 2, ..Options::default() }).expect("it starts")
 }
 
-fn goes_on(live: &Live<Box<Engine>>, what: &str) {
+fn goes_on(live: &Live, what: &str) {
     let count = || live.engine().report().nodes["end"].count;
     let (before, end) = (count(), Instant::now() + PATIENCE);
     while count() < before + 10 {

@@ -4,12 +4,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 
-use crate::common::{PATIENCE, folders, ledger, scratch};
+use crate::common::{PATIENCE, ledger, ready, scratch};
 use panoscope_engine::fault::{Action, Cause};
 use panoscope_engine::log::Level;
-use panoscope_engine::{Engine, Listener, Options, Outcome, StartError};
-use panoscope_graph::{GraphText, ParamValue, check};
-use panoscope_host::loader::{Live, Loader};
+use panoscope_engine::{Engine, Listener, Options, Outcome};
+use panoscope_graph::ParamValue;
+use panoscope_host::loader::Live;
+use panoscope_host::loader::graph_file::RunError;
 use panoscope_record::{Output, RecordOptions, Recorder, head};
 
 /// Longer than any limit here, but not than a test that waits for a call instead of leaving it behind.
@@ -61,16 +62,11 @@ fn options() -> Options {
 }
 
 /// The engine, and what edits it.
-type Running = (Arc<Engine>, Live<Arc<Engine>>);
+type Running = (Arc<Engine>, Live);
 
-fn try_start(text: &str, options: Options) -> Result<Running, StartError> {
-    let parsed = GraphText::parse("limits.toml".as_ref(), text);
-    let loader = Loader::search(folders());
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    let engine = Arc::new(Engine::start(graph, &catalog, &loader, options)?);
-    let live = Live::new(Arc::clone(&engine), "limits.toml".as_ref(), text.to_owned(), Vec::new(), loader);
-    Ok((engine, live))
+fn try_start(text: &str, options: Options) -> Result<Running, RunError> {
+    let live = ready("limits.toml", text).start(options)?;
+    Ok((Arc::clone(live.engine()), live))
 }
 
 fn start(text: &str, options: Options) -> Running {
@@ -381,11 +377,7 @@ impl Output for Broken {
 #[test]
 fn a_panic_in_the_recorders_thread_is_told_at_once_and_the_run_goes_on() {
     let text = graph("chaos", "");
-    let parsed = GraphText::parse("limits.toml".as_ref(), &text);
-    let loader = Loader::search(folders());
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    let head = head(&graph, &catalog, &loader, "limits.toml".as_ref(), &text, &[]);
+    let head = head(&ready("limits.toml", &text));
     let recorder =
         Recorder::start_on(Some(Box::new(Broken::default())), RecordOptions::default(), head).expect("it begins");
     let (engine, _live) = start(&text, Options { observer: Some(Arc::clone(&recorder) as _), ..options() });

@@ -1,7 +1,5 @@
 //! Makes the head of a recording: the graph, its files and the machine.
 
-use std::path::Path;
-
 use panoscope_graph::{Catalog, Graph, ParamKind, ParamValue};
 
 use crate::file_hash::{FileHash, hash, hashes};
@@ -10,6 +8,7 @@ use panoscope_engine::Machine;
 use panoscope_engine::Plugins;
 use panoscope_engine::fault::unix_ms;
 use panoscope_host::loader::Loader;
+use panoscope_host::loader::graph_file::Ready;
 
 /// Hashes of the files of a graph's plugins.
 pub(crate) fn plugin_hashes(graph: &Graph, loader: &Loader) -> Vec<FileHash> {
@@ -31,15 +30,17 @@ pub(crate) fn model_hashes(graph: &Graph, catalog: &Catalog) -> Vec<FileHash> {
     models
 }
 
-/// Makes the head of a recording of a graph with `text` of the file `path`, checked with `settings`.
-pub fn head(graph: &Graph, catalog: &Catalog, loader: &Loader, path: &Path, text: &str, settings: &[String]) -> Head {
-    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+/// Makes the head of a recording of a graph. Its text holds all parts, arguments and overlays, so that the recording
+/// needs no other file.
+pub fn head(ready: &Ready) -> Head {
+    let Ready { text, graph, catalog, loader, .. } = ready;
+    let whole = std::path::absolute(text.path()).unwrap_or_else(|_| text.path().to_owned());
     Head {
         format: FORMAT,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         graph_path: whole.display().to_string(),
-        text: text.to_owned(),
-        settings: settings.to_vec(),
+        text: text.flattened(catalog).into_owned(),
+        settings: text.settings(),
         graph: graph.clone(),
         plugins: plugin_hashes(graph, loader),
         models: model_hashes(graph, catalog),

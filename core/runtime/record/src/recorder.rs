@@ -174,6 +174,7 @@ impl Recorder {
         let error = |cause| RecordError::Unwritable { file: options.file.clone().unwrap_or_default(), cause };
         let file = output.map(RecordFile::create).transpose().map_err(error)?;
         let graph = head.graph.name.clone();
+        let head = Head { all_ports: options.all_ports, ..head };
         let inner = Arc::new(Inner {
             queue: Mutex::default(),
             wake: Condvar::new(),

@@ -1,10 +1,10 @@
 //! Replays a recording: its own graph to the byte, or another graph on its source packets.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, check};
+use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode};
 
 use crate::head::{head, model_hashes, plugin_hashes};
 use crate::recorder::{RecordError, RecordOptions, Recorder};
@@ -12,8 +12,9 @@ use crate::recording::Recording;
 use crate::script::{RecordedChange, Script};
 use panoscope_engine::ApplyError;
 use panoscope_engine::decide::Decider;
-use panoscope_engine::{Engine, Options, StartError};
-use panoscope_host::loader::{self as loader, Loader};
+use panoscope_engine::{Engine, Options};
+use panoscope_host::loader::graph_file::{self, RunError};
+use panoscope_host::loader::{Live, Loader};
 
 /// Options of a replay.
 #[derive(Default)]
@@ -40,7 +41,7 @@ pub enum ReplayError {
     Check(Diagnostics),
     /// The engine did not start.
     #[error(transparent)]
-    Start(#[from] StartError),
+    Start(#[from] RunError),
     /// The recording of the replay could not be written.
     #[error(transparent)]
     Record(#[from] RecordError),
@@ -119,9 +120,8 @@ pub enum StaleError {
 
 /// A running replay.
 pub struct Replay {
-    engine: Engine,
+    live: Live,
     script: Arc<Script>,
-    loader: Arc<Loader>,
     recorder: Option<Arc<Recorder>>,
     /// Message about an early end of the recording, by damage or an interrupted run.
     cut: Option<String>,
@@ -144,24 +144,26 @@ impl Replay {
         for setting in &settings {
             parsed.set(setting);
         }
-        let search = || Arc::new(Loader::search(&loader::search_path(&parsed.plugin_paths())));
-        let loader = options.loader.clone().unwrap_or_else(search);
-        let catalog = loader.catalog_of(&parsed);
-        let (mut graph, _) = check(&parsed, &catalog).into_result().map_err(ReplayError::Check)?;
+        let ready = match &options.loader {
+            Some(loader) => graph_file::ready_with(&parsed, Arc::clone(loader)),
+            None => graph_file::ready(&parsed),
+        };
+        let mut ready = ready.map_err(ReplayError::Check)?;
         if other {
             // In live mode the packets at `latest` inputs would depend on how fast the recording is read.
-            graph.mode = Mode::Batch;
+            ready.graph.mode = Mode::Batch;
         }
-        let names = sources(&graph, &catalog, recording, other)?;
-        let overrides = overrides(&graph, &catalog, &options.settings);
+        let (graph, catalog, loader) = (&ready.graph, &ready.catalog, &ready.loader);
+        let names = sources(graph, catalog, recording, other)?;
+        let overrides = overrides(graph, catalog, &options.settings);
         let mut script = Script::new(Arc::clone(recording), &names, other, !options.act, overrides);
         for (index, edit) in script.edits.iter_mut().enumerate() {
             let catalog = loader.catalog_of_graph(&edit.graph);
             resolve(&mut edit.graph, &catalog).map_err(|cause| ReplayError::Stale { number: index + 1, cause })?;
         }
-        let mut warnings = differences(recording, &graph, &catalog, &loader, other);
+        let mut warnings = differences(recording, graph, catalog, loader, other);
         if !options.act {
-            let skipped = |n: &&panoscope_graph::Node| n.node_type(&catalog).side_effects;
+            let skipped = |n: &&panoscope_graph::Node| n.node_type(catalog).side_effects;
             let skipped: Vec<&str> = graph.nodes.iter().filter(skipped).map(|n| n.id.as_str()).collect();
             if !skipped.is_empty() {
                 warnings.push(format!("nodes with side effects are skipped: {}", skipped.join(", ")));
@@ -171,30 +173,27 @@ impl Replay {
         let recorder = match options.record {
             Some(mut record) => {
                 record.all_outputs = head_of.all_ports && !other;
-                let mut new = head(&graph, &catalog, &loader, &path, &text, &settings);
-                new.all_ports = record.all_ports;
-                Some(Recorder::start(record, new)?)
+                Some(Recorder::start(record, head(&ready))?)
             }
             None => None,
         };
         let engine_options = Options {
             decider: Some(Arc::clone(&script) as _),
             observer: recorder.clone().map(|recorder| recorder as _),
-            graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
             ..options.engine
         };
-        let engine = Engine::start(graph, &catalog, &loader, engine_options)?;
+        let live = ready.start(engine_options)?;
         let cut = recording.cut.as_ref().map(|cut| {
             let (file, at, reason) = (recording.path().display(), cut.at, &cut.reason);
             let what = if cut.damaged { "is damaged" } else { "is cut off" };
             format!("{file} {what} at byte {at}: {reason}; only the part before it was replayed")
         });
-        Ok(Self { engine, script, loader, recorder, cut, warnings })
+        Ok(Self { live, script, recorder, cut, warnings })
     }
 
     /// The engine.
     pub fn engine(&self) -> &Engine {
-        &self.engine
+        self.live.engine()
     }
 
     /// The recorder of the replay itself.
@@ -206,18 +205,19 @@ impl Replay {
     pub fn follow(&self) -> Result<(), ReplayError> {
         for change in &self.script.changes {
             match change {
-                RecordedChange::Set(node, values) => self.engine.know(node, values),
+                RecordedChange::Set(node, values) => self.engine().know(node, values),
                 RecordedChange::Edit(number) => {
                     let graph = self.script.edits[*number].graph.clone();
-                    let catalog = self.loader.catalog_of_graph(&graph);
-                    match self.engine.apply_as_decided(*number, graph, &catalog, &self.loader) {
+                    let loader = self.live.loader();
+                    let catalog = loader.catalog_of_graph(&graph);
+                    match self.engine().apply_as_decided(*number, graph, &catalog, loader) {
                         Ok(_) => {}
                         // The user stopped the replay, or the recording has ended.
                         Err(ApplyError::Ended) => return self.verdict(),
                         Err(cause) => {
                             let error = ReplayError::Edit { number: number + 1, cause };
                             self.script.fail(error.to_string());
-                            self.engine.stop();
+                            self.engine().stop();
                             return Err(error);
                         }
                     }

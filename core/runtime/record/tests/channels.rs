@@ -9,10 +9,10 @@ use panoscope_abi::{Frame, Tick};
 use panoscope_engine::Options;
 use panoscope_engine::memory::{FrameRef, memory};
 use panoscope_engine::observe::{Event, Observer};
-use panoscope_graph::{GraphText, check};
+use panoscope_graph::GraphText;
 use panoscope_record::{Head, Output, RecordError, RecordOptions, Recorder, Recording, head};
 
-use crate::common::{PATIENCE, loader, scratch};
+use crate::common::{PATIENCE, ready, scratch};
 use crate::record::{HEAD, assert_same, node, replay, source, start};
 
 /// A recorder without an engine.
@@ -21,12 +21,7 @@ fn recorder(options: RecordOptions) -> Result<Arc<Recorder>, RecordError> {
 }
 
 fn any_head() -> Head {
-    let (path, text) = (Path::new("recorded.toml"), [HEAD, &source("a", 400.0)].concat());
-    let parsed = GraphText::parse(path, &text);
-    let loader = loader();
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    head(&graph, &catalog, &loader, path, &text, &[])
+    head(&ready("recorded.toml", &[HEAD, &source("a", 400.0)].concat()))
 }
 
 #[test]

@@ -9,9 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::Arc;
 
-use crate::common::{PATIENCE, loader, scratch};
-use panoscope_engine::{Engine, Options};
-use panoscope_graph::{GraphText, check};
+use crate::common::{PATIENCE, ready, scratch};
+use panoscope_engine::Options;
 use panoscope_record::{RecordOptions, Recorder, Recording, RecordingError, head};
 
 const CHILD: &str = "PANOSCOPE_TEST_RECORD_CHILD";
@@ -41,18 +40,13 @@ fn record(folder: &Path, fault: i32, number: i32, ticks: u64) {
     let text = "mode = \"batch\"\nplugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\n\
         params = { width_px = 64, height_px = 48, rate_hz = 200.0 }\n\
         [nodes.end]\ntype = \"drain\"\ninputs = { image = \"a.image\" }\n";
-    let path = Path::new("disk.toml");
-    let parsed = GraphText::parse(path, text);
-    let loader = loader();
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    let head = head(&graph, &catalog, &loader, path, text, &[]);
+    let ready = ready("disk.toml", text);
     let file = folder.join("r.mcap");
     // Not the lock next to it, without which a recording goes on.
     let watched = CString::new(file.to_str().expect("UTF-8")).expect("no zeros");
     arm(watched.as_ptr(), fault, number);
     let record = RecordOptions { file: Some(file), ..RecordOptions::default() };
-    let recorder = match Recorder::start(record, head) {
+    let recorder = match Recorder::start(record, head(&ready)) {
         Ok(recorder) => recorder,
         Err(error) => {
             println!("reported: 0 ticks, fault {}, failed true: {error}", disarm());
@@ -60,9 +54,9 @@ fn record(folder: &Path, fault: i32, number: i32, ticks: u64) {
         }
     };
     let options = Options { observer: Some(Arc::clone(&recorder) as _), frames: Some(ticks), ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
-    assert!(engine.wait(Some(PATIENCE)), "it does not end");
-    engine.close(PATIENCE);
+    let live = ready.start(options).expect("it starts");
+    assert!(live.engine().wait(Some(PATIENCE)), "it does not end");
+    live.engine().close(PATIENCE);
     let recorded = recorder.finish();
     let (fired, failed) = (disarm(), recorded.failed.is_some());
     println!("reported: {} ticks, fault {fired}, failed {failed}: {:?}", recorded.ticks, recorded.failed);

@@ -3,11 +3,10 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use panoscope_engine::{Engine, Options};
-use panoscope_graph::{GraphText, check};
+use panoscope_engine::Options;
 use panoscope_record::{RecordOptions, Recorder, Recording, head};
 
-use crate::common::{PATIENCE, loader, scratch};
+use crate::common::{PATIENCE, ready, scratch};
 use crate::record::{HEAD, node, replay, source};
 
 /// A disk that becomes full.
@@ -47,16 +46,13 @@ impl panoscope_record::Output for Small {
 #[test]
 fn a_full_disk_is_reported_at_once_and_the_run_goes_on() {
     let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
-    let parsed = GraphText::parse("full.toml".as_ref(), &text);
-    let loader = loader();
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    let head = head(&graph, &catalog, &loader, "full.toml".as_ref(), &text, &[]);
+    let ready = ready("full.toml", &text);
     let bytes = Arc::new(std::sync::Mutex::new(Vec::new()));
     let disk = Small { bytes: Arc::clone(&bytes), room: 12_345 };
-    let recorder = Recorder::start_on(Some(Box::new(disk)), RecordOptions::default(), head).expect("it begins");
+    let recorder = Recorder::start_on(Some(Box::new(disk)), RecordOptions::default(), head(&ready)).expect("it begins");
     let options = Options { observer: Some(Arc::clone(&recorder) as _), threads: 2, ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
+    let live = ready.start(options).expect("it starts");
+    let engine = live.engine();
     let end = Instant::now() + PATIENCE;
     while !engine.recent_faults().iter().any(|f| f.node == "record") {
         assert!(Instant::now() < end, "the full disk is not reported");
@@ -85,18 +81,15 @@ fn a_slow_disk_leaves_counted_gaps_and_never_blocks_the_run() {
     // A queue of all frames: a busy machine must not drop any of them.
     let end = node("end", "drain", "FROM").replace("\"FROM\"", "{ from = \"a.image\", queue = 60 }");
     let text = [HEAD, &source("a", 400.0), &end].concat();
-    let parsed = GraphText::parse("gaps.toml".as_ref(), &text);
-    let loader = loader();
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    let head = head(&graph, &catalog, &loader, "gaps.toml".as_ref(), &text, &[]);
+    let ready = ready("gaps.toml", &text);
     let file = scratch("gaps.mcap");
     // The queue holds nothing, so every tick is a gap.
     let record = RecordOptions { file: Some(file.clone()), max_queued_bytes: 0, ..RecordOptions::default() };
-    let recorder = Recorder::start(record, head).expect("it begins");
+    let recorder = Recorder::start(record, head(&ready)).expect("it begins");
     let options =
         Options { observer: Some(Arc::clone(&recorder) as _), threads: 2, frames: Some(50), ..Options::default() };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
+    let live = ready.start(options).expect("it starts");
+    let engine = live.engine();
     assert!(engine.wait(Some(PATIENCE)));
     engine.close(PATIENCE);
     assert_eq!(engine.report().nodes["end"].count, 50);

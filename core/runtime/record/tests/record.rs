@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::common::{PATIENCE, loader, scratch};
-use panoscope_engine::{Engine, Options};
+use crate::common::{PATIENCE, loader, ready, scratch};
+use panoscope_engine::Options;
 use panoscope_graph::{GraphText, ParamValue, check};
 use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
@@ -15,7 +15,7 @@ use panoscope_record::{
 
 /// A running graph that is recorded.
 pub(crate) struct Run {
-    pub(crate) live: Live<Box<Engine>>,
+    pub(crate) live: Live,
     recorder: Arc<Recorder>,
 }
 
@@ -24,17 +24,10 @@ pub(crate) fn start(text: &str, file: Option<PathBuf>, options: Options, all_por
 }
 
 pub(crate) fn start_with(text: &str, options: Options, record: RecordOptions) -> Run {
-    let path = Path::new("recorded.toml");
-    let parsed = GraphText::parse(path, text);
-    let loader = loader();
-    let catalog = loader.catalog(&parsed.plugins());
-    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
-    let mut head = head(&graph, &catalog, &loader, path, text, &[]);
-    head.all_ports = record.all_ports;
-    let recorder = Recorder::start(record, head).expect("the file can be written");
+    let ready = ready("recorded.toml", text);
+    let recorder = Recorder::start(record, head(&ready)).expect("the file can be written");
     let options = Options { observer: Some(Arc::clone(&recorder) as _), ..options };
-    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
-    Run { live: Live::new(Box::new(engine), path, text.to_owned(), Vec::new(), loader), recorder }
+    Run { live: ready.start(options).expect("it starts"), recorder }
 }
 
 impl Run {

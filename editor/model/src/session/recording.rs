@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use panoscope_record::{Head, RecordError, RecordOptions, Recorder};
+use panoscope_host::loader::graph_file::Ready;
+use panoscope_record::{RecordError, RecordOptions, Recorder, head};
 
 /// A recording that is finished.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,16 +40,10 @@ impl RunRecorder {
     ///
     /// # Errors
     /// The file cannot be created.
-    pub fn start(&mut self, head: impl FnOnce() -> Head) -> Result<Option<Arc<Recorder>>, RecordError> {
+    pub fn start(&mut self, ready: &Ready) -> Result<Option<Arc<Recorder>>, RecordError> {
         let Some(file) = self.next.take() else { return Ok(None) };
-        let options = RecordOptions {
-            file: Some(file.clone()),
-            all_ports: true,
-            all_source_ports: true,
-            compresses: true,
-            ..RecordOptions::default()
-        };
-        let recorder = Recorder::start(options, head())?;
+        let options = RecordOptions { file: Some(file.clone()), all_ports: true, ..RecordOptions::default() };
+        let recorder = Recorder::start(options, head(ready))?;
         self.running = Some((Arc::clone(&recorder), file));
         Ok(Some(recorder))
     }

@@ -15,7 +15,7 @@ use panoscope_engine::memory::{Domain, FrameRef, memory};
 use panoscope_engine::{Engine, Options, Plugins};
 use panoscope_graph::{Catalog, Graph, GraphText, check, from_abi};
 use panoscope_host::isolate::played::{self, Piece, Played, Step};
-use panoscope_host::loader::Loader;
+use panoscope_host::loader::graph_file::Ready;
 use panoscope_record::{RecordOptions, Recorder};
 
 use crate::draw::Draw;
@@ -172,16 +172,17 @@ pub fn recorded(file: &Path) {
     let host = host();
     let text = "mode = \"batch\"\nplugins = [\"simple\"]\n[nodes.feed]\ntype = \"feed\"\n\
         [nodes.taste]\ntype = \"taste\"\ninputs = { image = \"feed.image\" }\n";
-    let checked = check(&GraphText::parse("graph.toml".as_ref(), text), &host.catalog).into_result();
-    let (graph, _) = checked.unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
-    let loader = Loader::search(&[]);
-    let head = panoscope_record::head(&graph, &host.catalog, &loader, "graph.toml".as_ref(), text, &[]);
+    let text = GraphText::parse("graph.toml".as_ref(), text);
+    let (graph, warnings) =
+        check(&text, &host.catalog).into_result().unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
+    let (catalog, loader) = (host.catalog.clone(), Arc::default());
+    let ready = Ready { text, graph, catalog, loader, warnings, seal: None };
     let options = RecordOptions { file: Some(file.to_owned()), ..RecordOptions::default() };
-    let recorder = Recorder::start(options, head).expect("a recording");
+    let recorder = Recorder::start(options, panoscope_record::head(&ready)).expect("a recording");
     let options =
         Options { threads: 1, frames: Some(2), paced: false, observer: Some(recorder.clone()), ..Options::default() };
     let plugins = With { host, script: Arc::new([]) };
-    let engine = Engine::start(graph, &host.catalog, &plugins, options).expect("a run");
+    let engine = Engine::start(ready.graph, &ready.catalog, &plugins, options).expect("a run");
     assert!(engine.wait(Some(Duration::from_secs(30))), "the run does not end");
     engine.close(Duration::from_secs(5));
     let recorded = recorder.finish();

@@ -1,7 +1,6 @@
 //! Parameters of nodes as parameters of Foxglove.
 
 use std::collections::BTreeMap;
-use std::ops::Deref;
 
 use foxglove::websocket::{AnyClient, Parameter, ParameterValue, SetParametersResponder};
 use panoscope_base::secret::redact;
@@ -157,12 +156,7 @@ fn is_within(value: &ParamValue, range: Option<(f64, f64)>) -> Result<(), Refusa
 ///
 /// # Errors
 /// There is no such parameter, or it is refused.
-pub fn set<E: Deref<Target = Engine>>(
-    live: &mut Live<E>,
-    graph: &Graph,
-    catalog: &Catalog,
-    parameter: &Parameter,
-) -> Result<bool, ParameterError> {
+pub fn set(live: &mut Live, graph: &Graph, catalog: &Catalog, parameter: &Parameter) -> Result<bool, ParameterError> {
     let name = &parameter.name;
     let unknown = || ParameterError::Unknown { name: name.chars().take(200).collect() };
     let refused = |why: Refusal| ParameterError::Refused { name: name.clone(), why };

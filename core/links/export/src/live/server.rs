@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
-use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -161,7 +160,7 @@ impl FoxgloveServer {
 
     /// Publishes the current state and handles requests of clients. Call it several times a second, on the thread that
     /// takes previews. Returns log lines about set parameters, connections and refusals.
-    pub fn update<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>) -> Vec<String> {
+    pub fn update(&mut self, live: &mut Live) -> Vec<String> {
         let mut lines = Vec::new();
         let now = Instant::now();
         if self.looked.is_none_or(|looked| now.duration_since(looked) >= LOOK_EVERY) {
@@ -175,7 +174,7 @@ impl FoxgloveServer {
     }
 
     /// Follows changes of the graph and of its parameters.
-    fn look<E: Deref<Target = Engine>>(&mut self, live: &Live<E>) -> Option<String> {
+    fn look(&mut self, live: &Live) -> Option<String> {
         let engine = live.engine();
         let graph = engine.graph();
         let mut failure = None;
@@ -213,7 +212,7 @@ impl FoxgloveServer {
         }
     }
 
-    fn set<E: Deref<Target = Engine>>(&mut self, live: &mut Live<E>, lines: &mut Vec<String>) {
+    fn set(&mut self, live: &mut Live, lines: &mut Vec<String>) {
         let requests = std::mem::take(&mut *lock(&self.shared.requests));
         for Request { client, parameters, responder } in requests {
             for parameter in &parameters {

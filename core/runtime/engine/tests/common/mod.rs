@@ -9,6 +9,7 @@ use std::time::Duration;
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{GraphText, check};
 use panoscope_host::loader::Loader;
+use panoscope_host::loader::graph_file::{self, Ready};
 
 /// Longest that any graph here may take.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -28,6 +29,12 @@ pub fn flow_plugin() -> &'static Path {
 /// A loader that sees the built plugins.
 pub fn loader() -> Loader {
     Loader::search(folders())
+}
+
+/// A graph with a text as if it were the file `path`, checked with the built plugins.
+pub fn ready(path: impl AsRef<Path>, text: &str) -> Ready {
+    let ready = graph_file::ready_with(&GraphText::parse(path.as_ref(), text), loader());
+    ready.unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)))
 }
 
 /// Starts a graph of `flow` and `fixtures` nodes: `mode`, then the node tables.

@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::BufReader;
 use std::net::Shutdown;
-use std::ops::Deref;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::Child;
@@ -201,7 +200,7 @@ impl Attachable {
 
     /// Applies edits of windows and sends changes to them. Call it about ten times a second, on the thread that changes
     /// the graph. Returns lines for the log.
-    pub fn update<E: Deref<Target = Engine>>(&self, live: &mut Live<E>) -> Vec<String> {
+    pub fn update(&self, live: &mut Live) -> Vec<String> {
         let mut known = lock(&self.known);
         let known = &mut *known;
         let mut lines = self.apply(live, known);
@@ -217,7 +216,7 @@ impl Attachable {
     }
 
     /// Applies the received edits in order.
-    fn apply<E: Deref<Target = Engine>>(&self, live: &mut Live<E>, known: &mut Known) -> Vec<String> {
+    fn apply(&self, live: &mut Live, known: &mut Known) -> Vec<String> {
         let edits = std::mem::take(&mut lock(&self.shared.state).edits);
         let mut lines = Vec::new();
         for Edit { session, id, base, text } in edits {
@@ -237,7 +236,7 @@ impl Attachable {
     }
 
     /// Sends the graph to windows that do not have it.
-    fn send_graph<E: Deref<Target = Engine>>(&self, live: &Live<E>, known: &Known) {
+    fn send_graph(&self, live: &Live, known: &Known) {
         let mut state = lock(&self.shared.state);
         if !state.sessions.values().any(|session| session.lacks_graph) {
             return;
@@ -372,7 +371,7 @@ fn only_reads(host: &str) -> Refused {
 }
 
 /// Changes the running graph, or says why not.
-fn change<E: Deref<Target = Engine>>(live: &mut Live<E>, base: &str, text: &str) -> Result<String, Refused> {
+fn change(live: &mut Live, base: &str, text: &str) -> Result<String, Refused> {
     let plain = |words: String| Refused { node: None, words };
     if base != live.text() {
         return Err(plain("the graph was changed elsewhere meanwhile; review it and change it again".to_owned()));

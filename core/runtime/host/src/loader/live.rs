@@ -1,7 +1,6 @@
 //! Edits a running graph by editing its text. Every edit is checked as a whole file and applied as one transaction.
 
 use std::collections::BTreeMap;
-use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -9,9 +8,9 @@ use panoscope_engine::{Applied, ApplyError, Engine};
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Diagnostics, GraphText, check};
 
+use crate::loader::seal::{NotLocked, Seal};
 use crate::loader::search::{self, Loader};
 use crate::loader::stamp::Stamp;
-use crate::loader::verify::{NotLocked, Seal};
 
 /// An edit that failed; text and graph are unchanged.
 #[derive(Debug, thiserror::Error)]
@@ -30,23 +29,18 @@ pub enum LiveError {
     Apply(#[from] ApplyError),
 }
 
-/// A running graph and its text. `E` points to the engine: a reference or an `Arc`.
-pub struct Live<E> {
-    engine: E,
-    path: PathBuf,
-    text: String,
-    settings: Vec<String>,
-    loader: Arc<Loader>,
-    seal: Option<Arc<Seal>>,
+/// A running graph and its text, which `graph_file::Ready::start` makes.
+pub struct Live {
+    pub(super) engine: Arc<Engine>,
+    pub(super) path: PathBuf,
+    pub(super) text: String,
+    /// `node.param=value`; they override the text, also a changed one.
+    pub(super) settings: Vec<String>,
+    pub(super) loader: Arc<Loader>,
+    pub(super) seal: Option<Arc<Seal>>,
 }
 
-impl<E: Deref<Target = Engine>> Live<E> {
-    /// Takes over a graph that was started from `text` of the file `path`. `settings` (`node.param=value`) override the
-    /// text.
-    pub fn new(engine: E, path: &Path, text: String, settings: Vec<String>, loader: impl Into<Arc<Loader>>) -> Self {
-        Self { engine, path: path.to_owned(), text, settings, loader: loader.into(), seal: None }
-    }
-
+impl Live {
     /// Puts the graph under a lock: its nodes read the sealed copies of `seal`, and changes that need other files are
     /// refused. `None` ends that.
     pub fn set_seal(&mut self, seal: Option<Arc<Seal>>) {
@@ -54,7 +48,7 @@ impl<E: Deref<Target = Engine>> Live<E> {
     }
 
     /// The engine.
-    pub fn engine(&self) -> &Engine {
+    pub fn engine(&self) -> &Arc<Engine> {
         &self.engine
     }
 

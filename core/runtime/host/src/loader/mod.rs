@@ -1,9 +1,9 @@
 //! Finds, verifies and maps plugins.
 //!
 //! [`Loader`] reads the notes of the plugins in some folders, fills the graph crate's catalogue and maps the plugins
-//! that a graph lists. [`Live`] changes a running graph by editing its text, and swaps rebuilt plugins. [`lock`]
-//! records the fingerprints of all files that a run depends on, [`keys`] signs them, and [`verify`] opens a graph only
-//! as it was locked.
+//! that a graph lists. [`graph_file`] checks a graph and starts it. [`Live`] is the running graph: it changes it by
+//! editing its text, and swaps rebuilt plugins. [`lock`] records the fingerprints of all files that a run depends on,
+//! [`keys`] signs them, and [`verify`] opens a graph only as it was locked.
 
 mod copies;
 pub mod depends;
@@ -21,6 +21,7 @@ mod map;
 pub mod needed;
 mod plugin_file;
 mod python;
+mod seal;
 pub mod sealed;
 mod search;
 mod stamp;
