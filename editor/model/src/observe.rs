@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, NodeReport, NodeWindow, Preview, Window};
-use panoscope_host::attach::Attachment;
 use panoscope_host::attach::message::Wanted;
+use panoscope_host::attach::{Attachment, PAIR_TICKS, Packet};
 use serde::{Deserialize, Serialize};
 
 use crate::comparing::{self, Comparison, ComparisonRequest};
@@ -28,8 +28,6 @@ use panoscope_engine::sync::lock;
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
 /// Minimum time between two thumbnails: drawing the window costs more than rendering them.
 pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
-/// Number of packets of each compared output among which one tick is searched: 130 ms of delay between the two at 120 Hz.
-const PAIR_TICKS: usize = 16;
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 /// Number of points in a node's history: two minutes.
 const HISTORY: usize = 240;
@@ -247,6 +245,12 @@ struct Fed {
     elsewhere: Option<(Option<i64>, (usize, usize))>,
 }
 
+impl From<(Packet, Option<i64>)> for Fed {
+    fn from((packet, arrived_ns): (Packet, Option<i64>)) -> Self {
+        Self { frame: packet.frame, elsewhere: Some((arrived_ns, packet.size_px)) }
+    }
+}
+
 impl Feed {
     /// Keeps some packets for pairs, or only the newest one.
     fn keep_for_pairs(&self, keeps: bool) {
@@ -255,21 +259,25 @@ impl Feed {
         }
     }
 
-    /// The newest packets of one tick of two outputs of this run.
+    /// The newest packets of one tick of two outputs.
     fn take_pair(&self, other: &Self) -> Option<[Fed; 2]> {
-        let (Self::Engine(preview), Self::Engine(other)) = (self, other) else { return None };
-        let (a, b) = preview.take_pair(other)?;
-        Some([a, b].map(|frame| Fed { frame, elsewhere: None }))
+        match (self, other) {
+            (Self::Engine(preview), Self::Engine(other)) => {
+                let (a, b) = preview.take_pair(other)?;
+                Some([a, b].map(|frame| Fed { frame, elsewhere: None }))
+            }
+            (Self::Machine(machine, a), Self::Machine(_, b)) => {
+                Some(machine.take_pair([a, b].map(|output| (&*output.node, &*output.port)))?.map(Fed::from))
+            }
+            _ => None,
+        }
     }
 
     /// The newest packet since the last call.
     fn take(&self) -> Option<Fed> {
         match self {
             Self::Engine(preview) => preview.take().map(|frame| Fed { frame, elsewhere: None }),
-            Self::Machine(machine, Output { node, port }) => {
-                let (packet, arrived_ns) = machine.take_packet(node, port)?;
-                Some(Fed { frame: packet.frame, elsewhere: Some((arrived_ns, packet.size_px)) })
-            }
+            Self::Machine(machine, Output { node, port }) => machine.take_packet(node, port).map(Fed::from),
         }
     }
 }
@@ -405,7 +413,9 @@ impl Worker {
             self.outputs.clear();
         }
         if let Some(machine) = &machine {
-            machine.request_packets(requests.iter().map(wanted).collect(), interval);
+            let outputs = compared.iter().flat_map(|pair| [&pair.output, &pair.other]).collect::<Vec<_>>();
+            let wanted = requests.iter().map(|(output, request)| wanted(output, request, outputs.contains(&output)));
+            machine.request_packets(wanted.collect(), interval);
         }
         let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
         for output in removed {
@@ -562,12 +572,12 @@ impl Worker {
     }
 }
 
-/// What a machine is to send for a preview.
-fn wanted((output, request): (&Output, &PreviewRequest)) -> Wanted {
+/// What a machine is to send for a preview, with packets of one tick for outputs that are compared.
+fn wanted(output: &Output, request: &PreviewRequest, is_paired: bool) -> Wanted {
     let max_width = u32::try_from(request.max_width).unwrap_or(u32::MAX);
     // A surface and points need all of a cloud.
     let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
-    Wanted { node: output.node.clone(), port: output.port.clone(), max_width }
+    Wanted { node: output.node.clone(), port: output.port.clone(), max_width, is_paired }
 }
 
 /// The packets of an output.
