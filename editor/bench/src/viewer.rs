@@ -191,8 +191,11 @@ impl Viewer {
         let image_rect = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
             (None, _) => {
-                let caption = shown.text(&a.output).unwrap_or(text!("viewer-nothing")).to_owned();
-                painter.text(room.center(), Align2::CENTER_CENTER, caption, FontId::monospace(16.0), theme::text());
+                let (caption, font, color) = match shown.text(&a.output) {
+                    Some(text) => (text, FontId::monospace(16.0), theme::text()),
+                    None => (text!("viewer-nothing"), FontId::proportional(16.0), theme::muted()),
+                };
+                painter.text(room.center(), Align2::CENTER_CENTER, caption, font, color);
             }
             (Some((texture, size)), None) => {
                 let inner = fit(room, size);

@@ -107,3 +107,35 @@ fn a_window_that_only_reads_says_so_and_changes_nothing() {
     assert_eq!((runs(window.app()), window.app().document().text().to_string()), (before.clone(), before));
     assert!(window.harness.query_by_label_contains("No emergency stop from here").is_some());
 }
+
+#[test]
+fn two_outputs_of_a_machine_are_compared_tick_by_tick() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("attached_comparison");
+    let address = free_address();
+    // Images so large that the second output is always behind the first one.
+    let text = GRAPH.replacen("width_px = 64, height_px = 48", "width_px = 1280, height_px = 720", 1);
+    let Some(_running) = Attachable::start(EDITOR, &folder.write("g.toml", &text), &address, &[]) else {
+        return panoscope_testing::skipped!("there is no program `panoscope`");
+    };
+    let mut window = open(&folder, &address);
+    window.until_shown("Runs on engine: this window only reads");
+    window.select("b");
+    window.key(Modifiers::NONE, Key::V);
+    window.until_shown("Viewer of b.image");
+    let second = Output::new("mean", "image");
+    let until = std::time::Instant::now() + common::PATIENCE;
+    while window.app().compared_with() != Some(&second) {
+        assert!(std::time::Instant::now() < until, "it is never compared with mean.image");
+        window.key(Modifiers::NONE, Key::C);
+    }
+    // One tick after the other, not one by luck.
+    for _ in 0..5 {
+        let last = window.app().comparison().map(|found| found.seq);
+        window.until("numbers of a later tick", |app| {
+            app.comparison().is_some_and(|found| Some(found.seq) > last && found.measures.is_some())
+        });
+    }
+}

@@ -20,6 +20,13 @@ pub struct ComparisonRequest {
     pub packet: String,
 }
 
+impl ComparisonRequest {
+    /// Whether an output is one of the two.
+    pub fn is_of(&self, output: &Output) -> bool {
+        [&self.output, &self.other].contains(&output)
+    }
+}
+
 /// How two packets differ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {

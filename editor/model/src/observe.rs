@@ -1,7 +1,8 @@
 //! Renders previews of the running graph for the window, at most five to ten times per second, and reads its counters twice per second. It
 //! runs on a thread of its own, so that the window's thread never waits.
 //!
-//! For each previewed output at most two frames are retained: the newest one, and the one being rendered.
+//! For each previewed output at most two frames are retained: the newest one, and the one being rendered. Of outputs that are compared or shown as
+//! a stereo pair a few more are, among which one tick of both is searched.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -11,9 +12,8 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{Engine, NodeReport, NodeWindow, Preview, Window};
-use panoscope_host::attach::Attachment;
-use panoscope_host::attach::message::Wanted;
+use panoscope_engine::{NodeReport, NodeWindow, Window};
+use panoscope_host::attach::PAIR_TICKS;
 use serde::{Deserialize, Serialize};
 
 use crate::comparing::{self, Comparison, ComparisonRequest};
@@ -24,12 +24,15 @@ use crate::session::{Handle, Phase};
 use crate::surface::{self, Painter, Viewpoint};
 use panoscope_engine::sync::lock;
 
+mod feed;
+use feed::{Fed, Feed, feed, wanted};
+
 /// Minimum time between two previews of an output while one is shown large.
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
 /// Minimum time between two thumbnails: drawing the window costs more than rendering them.
 pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
-/// Number of packets of each compared output among which one tick is searched: 130 ms of delay between the two at 120 Hz.
-const PAIR_TICKS: usize = 16;
+/// Number of packets of each eye among which one tick is searched: both come from one camera, one after the other.
+const EYE_TICKS: usize = 4;
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 /// Number of points in a node's history: two minutes.
 const HISTORY: usize = 240;
@@ -45,6 +48,8 @@ pub struct PreviewRequest {
     pub viewpoint: Option<Viewpoint>,
     /// For a cloud: whether its points are needed too.
     pub points: bool,
+    /// The output whose packets are shown with these, both of one tick: the other eye of a stereo pair.
+    pub pair: Option<Output>,
 }
 
 /// Counters and histories of all nodes.
@@ -234,46 +239,6 @@ impl Drop for Observer {
     }
 }
 
-/// Where the packets of an output come from.
-enum Feed {
-    Engine(Preview),
-    Machine(Arc<Attachment>, Output),
-}
-
-/// A packet with what only its feed knows.
-struct Fed {
-    frame: FrameRef,
-    /// From a machine: when its light arrived, and its size before it was thinned, px.
-    elsewhere: Option<(Option<i64>, (usize, usize))>,
-}
-
-impl Feed {
-    /// Keeps some packets for pairs, or only the newest one.
-    fn keep_for_pairs(&self, keeps: bool) {
-        if let Self::Engine(preview) = self {
-            preview.keep(if keeps { PAIR_TICKS } else { 1 });
-        }
-    }
-
-    /// The newest packets of one tick of two outputs of this run.
-    fn take_pair(&self, other: &Self) -> Option<[Fed; 2]> {
-        let (Self::Engine(preview), Self::Engine(other)) = (self, other) else { return None };
-        let (a, b) = preview.take_pair(other)?;
-        Some([a, b].map(|frame| Fed { frame, elsewhere: None }))
-    }
-
-    /// The newest packet since the last call.
-    fn take(&self) -> Option<Fed> {
-        match self {
-            Self::Engine(preview) => preview.take().map(|frame| Fed { frame, elsewhere: None }),
-            Self::Machine(machine, Output { node, port }) => {
-                let (packet, arrived_ns) = machine.take_packet(node, port)?;
-                Some(Fed { frame: packet.frame, elsewhere: Some((arrived_ns, packet.size_px)) })
-            }
-        }
-    }
-}
-
 struct OutputPreview {
     feed: Feed,
     /// From a machine: of the last packet.
@@ -405,7 +370,9 @@ impl Worker {
             self.outputs.clear();
         }
         if let Some(machine) = &machine {
-            machine.request_packets(requests.iter().map(wanted).collect(), interval);
+            let is_compared = |output| compared.as_ref().is_some_and(|pair| pair.is_of(output));
+            let wanted = requests.iter().map(|(output, request)| wanted(output, request, is_compared(output)));
+            machine.request_packets(wanted.collect(), interval);
         }
         let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
         for output in removed {
@@ -421,12 +388,24 @@ impl Worker {
                 self.outputs.insert(output.clone(), OutputPreview::new(feed));
             }
         }
-        let mut of_one_tick = compared.as_ref().map_or_else(HashMap::new, |pair| self.take_pair(pair));
+        let mut of_one_tick = HashMap::new();
+        let eyes = requests.iter().filter_map(|(output, request)| Some((output, request.pair.as_ref()?)));
+        for (a, b) in eyes.chain(compared.as_ref().map(|pair| (&pair.output, &pair.other))) {
+            if !of_one_tick.contains_key(a) {
+                of_one_tick.extend(self.take_pair(a, b));
+            }
+        }
+        // New at one time, so that nobody takes one of two that belong together.
+        let mut rendered = Vec::new();
         for (output, request) in requests {
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             let asked = probes.get(&output);
-            let is_compared = compared.as_ref().is_some_and(|pair| [&pair.output, &pair.other].contains(&&output));
-            view.feed.keep_for_pairs(is_compared);
+            let is_compared = compared.as_ref().is_some_and(|pair| pair.is_of(&output));
+            view.feed.keep(match (is_compared, &request.pair) {
+                (true, _) => PAIR_TICKS,
+                (false, Some(_)) => EYE_TICKS,
+                (false, None) => 1,
+            });
             let fed = of_one_tick.remove(&output).or_else(|| view.feed.take());
             let render = view.render(fed, &request, asked.is_some() || is_compared);
             if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
@@ -438,19 +417,19 @@ impl Worker {
                     Some((arrived_ns, size)) => (arrived_ns, size),
                     None => (engine.as_ref().and_then(|engine| engine.arrived_ns(&render.tick)), render.size),
                 };
-                lock(&self.mailbox).previews.insert(output, RenderedPacket { arrived_ns, size, ..render });
-                changed = true;
+                rendered.push((output, RenderedPacket { arrived_ns, size, ..render }));
             }
         }
+        changed |= !rendered.is_empty();
+        lock(&self.mailbox).previews.extend(rendered);
         changed | compared.is_some_and(|pair| self.compare(pair))
     }
 
-    /// The newest packets of one tick of the compared outputs.
-    fn take_pair(&self, pair: &ComparisonRequest) -> HashMap<Output, Fed> {
-        let view = |output: &Output| self.outputs.get(output);
-        let (Some(a), Some(b)) = (view(&pair.output), view(&pair.other)) else { return HashMap::new() };
-        let outputs = [pair.output.clone(), pair.other.clone()];
-        a.feed.take_pair(&b.feed).map_or_else(HashMap::new, |found| outputs.into_iter().zip(found).collect())
+    /// The newest packets of one tick of two outputs.
+    fn take_pair(&self, a: &Output, b: &Output) -> Vec<(Output, Fed)> {
+        let (Some(first), Some(second)) = (self.outputs.get(a), self.outputs.get(b)) else { return Vec::new() };
+        let found = first.feed.take_pair(&second.feed);
+        found.into_iter().flat_map(|found| [a.clone(), b.clone()].into_iter().zip(found)).collect()
     }
 
     /// Compares two outputs, where their shown packets are of one tick; returns whether there is something new.
@@ -559,21 +538,5 @@ impl Worker {
         }
         lock(&self.mailbox).set_counters(new);
         true
-    }
-}
-
-/// What a machine is to send for a preview.
-fn wanted((output, request): (&Output, &PreviewRequest)) -> Wanted {
-    let max_width = u32::try_from(request.max_width).unwrap_or(u32::MAX);
-    // A surface and points need all of a cloud.
-    let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
-    Wanted { node: output.node.clone(), port: output.port.clone(), max_width }
-}
-
-/// The packets of an output.
-fn feed(output: &Output, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) -> Option<Feed> {
-    match machine {
-        Some(machine) => Some(Feed::Machine(Arc::clone(machine), output.clone())),
-        None => engine?.preview(&output.node, &output.port).map(Feed::Engine),
     }
 }

@@ -163,6 +163,9 @@ impl Samples {
     }
 }
 
+/// Share of its width by which a range may miss the values and still follow them slowly; beyond that it is theirs at once.
+const SLOW: f32 = 0.25;
+
 /// The range between the 2nd and the 98th percentile, smoothed over frames.
 fn follow(values: &[f32], packet: &str, range: &mut Range) -> (f32, f32) {
     if packet == "confidence" {
@@ -176,7 +179,7 @@ fn follow(values: &[f32], packet: &str, range: &mut Range) -> (f32, f32) {
     let at = |share: f32| known[((known.len() - 1) as f32 * share) as usize];
     let (low, high) = (at(0.02), at(0.98));
     let new = match *range {
-        Some((l, h)) if (l - low).abs() < (h - l) && (h - high).abs() < (h - l) => {
+        Some((l, h)) if (l - low).abs().max((h - high).abs()) < SLOW * (h - l) => {
             (l + 0.1 * (low - l), h + 0.1 * (high - h))
         }
         _ => (low, high),
@@ -294,6 +297,19 @@ mod tests {
         let pixels = rendered.pixels.unwrap();
         assert_eq!((pixels.width, pixels.height, rendered.size), (4, 2, (8, 4)));
         assert_eq!(&pixels.rgba[..4], [20, 10, 255, 255]);
+    }
+
+    #[test]
+    fn the_colours_of_a_map_follow_slowly_and_jump_with_its_values() {
+        let ramp =
+            |low: f32, high: f32| -> Vec<f32> { (0..=700).map(|k| low + (high - low) * k as f32 / 700.0).collect() };
+        let mut range = None;
+        let (low, high) = follow(&ramp(28.0, 54.0), "disparity", &mut range);
+        assert!((low - 28.5).abs() < 0.5 && (high - 53.5).abs() < 0.5, "{low} {high}");
+        let (_, slow) = follow(&ramp(28.0, 56.0), "disparity", &mut range);
+        assert!(slow > high && slow < high + 0.5, "it does not flicker: {slow}");
+        let (low, high) = follow(&ramp(18.0, 42.0), "disparity", &mut range);
+        assert!((low - 18.5).abs() < 0.5 && (high - 41.5).abs() < 0.5, "another scene has other colours: {low} {high}");
     }
 
     #[test]

@@ -449,10 +449,11 @@ impl Theatre {
             }
         }
         if let Some(pair) = self.plan.pair.as_ref().filter(|_| self.frozen.is_none() && self.shows_pair()) {
-            for eye in pair {
-                let packet = "image".to_owned();
-                requests
-                    .insert(eye.clone(), PreviewRequest { packet, max_width: MAX_WIDTH, ..PreviewRequest::default() });
+            let [left, right] = pair;
+            for (eye, other) in [(left, right), (right, left)] {
+                let (packet, pair) = ("image".to_owned(), Some(other.clone()));
+                let request = PreviewRequest { packet, max_width: MAX_WIDTH, pair, ..PreviewRequest::default() };
+                requests.insert(eye.clone(), request);
             }
         }
         self.requested.retain(|output, _| requests.contains_key(output));

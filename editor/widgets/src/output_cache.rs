@@ -40,6 +40,8 @@ struct CachedOutput {
 #[derive(Default)]
 pub struct OutputCache {
     outputs: HashMap<Output, CachedOutput>,
+    /// Whether the run has ended.
+    is_over: bool,
 }
 
 /// Converts pixels to egui's image type, for textures.
@@ -84,14 +86,21 @@ impl OutputCache {
         Some((texture.id(), texture.size_vec2()))
     }
 
+    /// Sets whether the run has ended: its last previews are what it came to, and count as old no more.
+    pub fn set_over(&mut self, is_over: bool) {
+        self.is_over = is_over;
+    }
+
     /// Age of the last preview, if it is too old to count as live.
     pub fn stale(&self, output: &Output) -> Option<Duration> {
-        self.outputs.get(output).map(|outputs| outputs.at.elapsed()).filter(|age| *age > STALE)
+        let age = self.outputs.get(output).map(|outputs| outputs.at.elapsed());
+        age.filter(|age| *age > STALE && !self.is_over)
     }
 
     /// Time until the next preview counts as old; `None` when all do.
     pub fn until_stale(&self) -> Option<Duration> {
-        let left = self.outputs.values().filter_map(|output| STALE.checked_sub(output.at.elapsed()));
+        let running = self.outputs.values().filter(|_| !self.is_over);
+        let left = running.filter_map(|output| STALE.checked_sub(output.at.elapsed()));
         left.min().map(|left| left + Duration::from_millis(20))
     }
 
@@ -113,5 +122,22 @@ impl OutputCache {
     /// Size of the packet itself in px.
     pub fn size(&self, output: &Output) -> Option<Vec2> {
         self.packet(output).map(|l| vec2(l.size.0 as f32, l.size.1 as f32))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_previews_of_an_ended_run_are_not_old() {
+        let output = Output::new("a", "image");
+        let mut cache = OutputCache::default();
+        let old = Instant::now().checked_sub(3 * STALE).expect("the machine runs for longer");
+        let kept = CachedOutput { texture: None, packet: RenderedPacket::default(), pixels: None, at: old };
+        cache.outputs.insert(output.clone(), kept);
+        assert!(cache.stale(&output).is_some_and(|age| age > STALE));
+        cache.set_over(true);
+        assert!(cache.stale(&output).is_none() && cache.until_stale().is_none());
     }
 }

@@ -400,6 +400,7 @@ impl App {
             self.document.set_tick(status.tick);
         }
         self.follow_recording(&ctx, &status);
+        self.shown.set_over(matches!(status.phase, Phase::Ended) && self.timeline.is_none());
         self.take_pictures(&ctx);
         self.probes = self.timeline.as_ref().map_or_else(|| self.observer.probes(), |timeline| timeline.probes());
         self.follow_machine();

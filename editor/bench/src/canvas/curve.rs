@@ -27,6 +27,23 @@ pub(super) fn flattened_to(p: &[Pos2; 4], tolerance: f32) -> Vec<Pos2> {
     (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
 }
 
+/// The fewest of the points of a line such that none of the others is farther than `tolerance` from it (Douglas and Peucker).
+pub(super) fn simplified(points: &[Pos2], tolerance: f32) -> Vec<Pos2> {
+    let Some(last) = points.len().checked_sub(1).filter(|last| *last > 0) else { return points.to_vec() };
+    let mut kept = vec![false; points.len()];
+    (kept[0], kept[last]) = (true, true);
+    let mut parts = vec![(0, last)];
+    while let Some((from, to)) = parts.pop() {
+        let apart = |n: usize| distance(points[n], points[from], points[to]);
+        let farthest = (from + 1..to).max_by(|a, b| apart(*a).total_cmp(&apart(*b)));
+        if let Some(n) = farthest.filter(|n| apart(*n) > tolerance) {
+            kept[n] = true;
+            parts.extend([(from, n), (n, to)]);
+        }
+    }
+    points.iter().zip(kept).filter_map(|(at, is_kept)| is_kept.then_some(*at)).collect()
+}
+
 /// Distance of a point from a line between two others.
 pub(super) fn distance(at: Pos2, from: Pos2, to: Pos2) -> f32 {
     let delta = to - from;
@@ -72,6 +89,20 @@ mod tests {
         let apart = |at: Pos2| points.windows(2).map(|pair| distance(at, pair[0], pair[1])).fold(f32::MAX, f32::min);
         let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);
         assert!(worst < 0.3, "{worst}");
+    }
+
+    #[test]
+    fn a_path_from_afar_has_only_its_corners() {
+        let corners = [pos2(0.0, 0.0), pos2(300.0, 0.0), pos2(300.0, 400.0), pos2(700.0, 400.0)];
+        let curves = rounded(&corners);
+        let points: Vec<Pos2> = curves.iter().flat_map(|curve| flattened_to(curve, 0.5)).collect();
+        let few = simplified(&points, 10.0);
+        assert_eq!(few.len(), 4, "{few:?} of {} points", points.len());
+        let apart = |at: Pos2| few.windows(2).map(|pair| distance(at, pair[0], pair[1])).fold(f32::MAX, f32::min);
+        assert!(points.iter().all(|at| apart(*at) <= 10.0), "{few:?}");
+        assert_eq!((few[0], few[3]), (corners[0], corners[3]));
+        assert_eq!(simplified(&corners[..1], 1.0), corners[..1]);
+        assert!(simplified(&[], 1.0).is_empty());
     }
 
     #[test]

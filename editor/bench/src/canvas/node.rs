@@ -1,12 +1,13 @@
 //! Draws a node, by distance: from afar its name, light and picture, near its ports and values too.
 
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use eframe::egui::emath::GuiRounding as _;
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{
-    Align2, Color32, CornerRadius, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui, Vec2,
-    pos2, vec2,
+    Align2, Color32, CornerRadius, FontId, Galley, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui,
+    Vec2, pos2, vec2,
 };
 
 use super::paint::MIN_TEXT;
@@ -234,14 +235,19 @@ impl Canvas {
             None => {
                 painter.rect_filled(frame, 4.0 * scale, theme::sunk());
                 let held = scene.recorded.map(|held| held(below));
-                let caption = match held {
-                    Some(held @ (Held::Lacking | Held::Computing(_))) => held_in_words(held),
-                    _ => scene.shown.text(output).unwrap_or(packet).to_owned(),
+                // Only what a packet says is bright: the type of a packet that has not come is not.
+                let (caption, color) = match held {
+                    Some(held @ (Held::Lacking | Held::Computing(_))) => (held_in_words(held), theme::muted()),
+                    _ => match scene.shown.text(output) {
+                        Some(text) => (text.to_owned(), theme::text()),
+                        None => (packet.clone(), theme::muted()),
+                    },
                 };
-                let galley = painter.layout(caption, self.font(11.0), theme::text(), frame.width() - 16.0 * scale);
+                let galley =
+                    self.rows(painter, caption, color, vec2(frame.width() - 16.0 * scale, frame.height() - 8.0));
                 let clipped = painter.with_clip_rect(frame.intersect(self.rect));
                 let at = frame.left_center() + vec2(8.0 * scale, -galley.size().y / 2.0);
-                clipped.galley(pos2(at.x, at.y.max(frame.top() + 4.0)), galley, theme::text());
+                clipped.galley(pos2(at.x, at.y.max(frame.top() + 4.0)), galley, color);
             }
         }
     }
@@ -281,12 +287,18 @@ impl Canvas {
         let scale = self.scale();
         painter.rect_filled(frame, 4.0 * scale, theme::sunk());
         let inside = frame.shrink2(vec2(8.0 * scale, 3.0));
-        let mut job = LayoutJob::simple(words.to_owned(), self.font(11.0), color, inside.width().max(8.0));
-        let font = self.font(11.0);
-        job.wrap.max_rows = (inside.height() / painter.fonts_mut(|fonts| fonts.row_height(&font))).max(1.0) as usize;
-        let galley = painter.layout_job(job);
+        let galley = self.rows(painter, words.to_owned(), color, inside.size());
         let at = pos2(inside.left(), (inside.center().y - galley.size().y / 2.0).max(inside.top()));
         painter.with_clip_rect(frame.intersect(self.rect)).galley(at, galley, color);
+    }
+
+    /// Lays out as many rows of a text as `room` is high; what follows is an ellipsis.
+    fn rows(&self, painter: &Painter, text: String, color: Color32, room: Vec2) -> Arc<Galley> {
+        let font = self.font(11.0);
+        let row = painter.fonts_mut(|fonts| fonts.row_height(&font));
+        let mut job = LayoutJob::simple(text, font, color, room.x.max(8.0));
+        job.wrap.max_rows = (room.y / row).max(1.0) as usize;
+        painter.layout_job(job)
     }
 
     /// Draws times and rates, or the node's first error.
@@ -452,13 +464,7 @@ fn problem_of(scene: &Scene<'_>, node: usize) -> Option<(String, Color32)> {
 }
 
 /// Lays out one line of text, truncated with an ellipsis to `width`.
-fn elided(
-    painter: &Painter,
-    text: &str,
-    font: FontId,
-    color: Color32,
-    width: f32,
-) -> std::sync::Arc<eframe::egui::Galley> {
+fn elided(painter: &Painter, text: &str, font: FontId, color: Color32, width: f32) -> Arc<Galley> {
     let mut job = LayoutJob::simple_singleline(text.to_owned(), font, color);
     // In whole points, so that a text that moves with the graph is not laid out again.
     job.wrap.max_width = (width + 0.01).floor().max(8.0);
@@ -469,8 +475,6 @@ fn elided(
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
     use panoscope_editor_model::graph_view::NodeView;
     use panoscope_graph::{NodeOutline, NodeType, Param, ParamKind};

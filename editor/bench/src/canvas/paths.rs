@@ -3,7 +3,7 @@
 use eframe::egui::{Pos2, Rect};
 
 use super::Canvas;
-use super::curve::{bow, flattened_to, rounded};
+use super::curve::{bow, flattened_to, rounded, simplified};
 use super::interaction::Drag;
 use super::shape::PICTURES;
 use panoscope_editor_model::graph_view::{GraphView, Wire};
@@ -12,6 +12,10 @@ use panoscope_editor_model::layout::{Ends, Obstacles};
 /// Greatest distance between a curve and the lines that are tested for nodes, in points at zoom 1.
 const TESTED: f32 = 1.0;
 
+/// Greatest distance between a curve and its lines, in points of the window: near, and from afar, where the wires of hundreds of nodes are thin.
+const PRECISE: f32 = 0.25;
+const FAR: f32 = 1.5;
+
 /// The path of a wire.
 #[derive(Clone, Debug)]
 pub(super) struct Path {
@@ -19,7 +23,7 @@ pub(super) struct Path {
     pub curves: Vec<[Pos2; 4]>,
     /// The rectangle around their control points.
     pub bounds: Rect,
-    /// Its curves as lines, for the scale of the last drawing.
+    /// Its curves as lines, for the scale of the last drawing: one for each, from afar one for all.
     pub lines: Vec<Vec<Pos2>>,
     /// The corners of a path around nodes that are in the way; empty for other paths.
     pub corners: Vec<[f32; 2]>,
@@ -140,10 +144,12 @@ impl Canvas {
         let scale = self.scale();
         if self.paths.scale != scale {
             self.paths.scale = scale;
-            // Of hundreds of nodes wires are thin and short.
-            let tolerance = if scale < PICTURES { 1.0 } else { 0.25 } / scale;
             for path in &mut self.paths.wires {
-                path.lines = path.curves.iter().map(|curve| flattened_to(curve, tolerance)).collect();
+                let lines = path.curves.iter().map(|curve| flattened_to(curve, PRECISE / scale));
+                path.lines = match scale < PICTURES {
+                    true => vec![simplified(&lines.flatten().collect::<Vec<_>>(), FAR / scale)],
+                    false => lines.collect(),
+                };
             }
         }
     }

@@ -136,13 +136,15 @@ impl Canvas {
                 }
                 continue;
             }
+            if far {
+                let ends = path.lines.iter().flat_map(|line| line.windows(2));
+                let ends = ends.filter(|ends| Rect::from_two_pos(ends[0], ends[1]).intersects(seen));
+                ends.for_each(|ends| add_line(&mut thin, transform * ends[0], transform * ends[1], stroke));
+                continue;
+            }
             let lines = path.curves.iter().zip(&path.lines);
             for (_, line) in lines.filter(|(curve, _)| Rect::from_points(*curve).intersects(seen)) {
                 match &line[..] {
-                    points if far => {
-                        let ends = points.windows(2).map(|ends| (transform * ends[0], transform * ends[1]));
-                        ends.for_each(|(from, to)| add_line(&mut thin, from, to, stroke));
-                    }
                     [from, to] => _ = painter.line_segment([transform * *from, transform * *to], stroke),
                     points => _ = painter.line(points.iter().map(|at| transform * *at).collect(), stroke),
                 }

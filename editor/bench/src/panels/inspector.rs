@@ -161,7 +161,7 @@ fn title(ui: &mut Ui, this: &NodeView, is_python: bool, requests: &mut Vec<Inspe
         }
     });
     if let Some(line) = this.node_type.as_ref().and_then(|t| t.doc.lines().next()) {
-        ui.label(RichText::new(line).size(12.0));
+        super::overview::prose(ui, line, theme::text());
     }
     ui.add_space(theme::STEP);
 }

@@ -78,28 +78,7 @@ fn about(ui: &mut Ui, text: &str) {
     let id = ui.make_persistent_id("about the graph");
     let whole = ui.data(|data| data.get_temp::<bool>(id)).unwrap_or_default();
     let first = first_sentence(text);
-    let shown = if whole { text } else { first };
-    ui.horizontal_wrapped(|ui| {
-        ui.spacing_mut().item_spacing = vec2(0.0, 0.0);
-        ui.spacing_mut().interact_size.y = 0.0;
-        for (n, part) in shown.split('`').enumerate() {
-            // Between a pair of backticks.
-            if n % 2 == 0 {
-                ui.label(RichText::new(part).size(12.0).color(theme::muted()));
-                continue;
-            }
-            ui.label(RichText::new(part).monospace().size(11.5));
-            if part.contains(' ') {
-                let copy = ui.small_button(text!("overview-copy"));
-                copy.widget_info(|| {
-                    WidgetInfo::labeled(WidgetType::Button, true, text!("overview-copy.name", command = part))
-                });
-                if copy.clicked() {
-                    ui.ctx().copy_text(part.to_owned());
-                }
-            }
-        }
-    });
+    prose(ui, if whole { text } else { first }, theme::muted());
     if first.len() < text.len() {
         let caption = if whole { text!("overview-less") } else { text!("overview-more") };
         let more = Button::new(RichText::new(caption).size(11.0).color(theme::accent())).frame(false);
@@ -107,6 +86,34 @@ fn about(ui: &mut Ui, text: &str) {
             ui.data_mut(|data| data.insert_temp(id, !whole));
         }
     }
+}
+
+/// Shows a text. What is between backticks is in mono type, a command with a button that copies it.
+pub(super) fn prose(ui: &mut Ui, text: &str, color: Color32) {
+    ui.scope(|ui| {
+        ui.spacing_mut().item_spacing = vec2(0.0, 0.0);
+        // Before the layout begins: its first row would be higher than the others.
+        ui.spacing_mut().interact_size.y = 0.0;
+        ui.horizontal_wrapped(|ui| {
+            for (n, part) in text.split('`').enumerate() {
+                // Between a pair of backticks.
+                if n % 2 == 0 {
+                    ui.label(RichText::new(part).size(12.0).color(color));
+                    continue;
+                }
+                ui.label(RichText::new(part).monospace().size(11.5));
+                if part.contains(' ') {
+                    let copy = ui.small_button(text!("overview-copy"));
+                    copy.widget_info(|| {
+                        WidgetInfo::labeled(WidgetType::Button, true, text!("overview-copy.name", command = part))
+                    });
+                    if copy.clicked() {
+                        ui.ctx().copy_text(part.to_owned());
+                    }
+                }
+            }
+        });
+    });
 }
 
 /// A text up to the end of its first sentence: a full stop outside of commands and brackets, before a capital letter.

@@ -195,7 +195,7 @@ impl Plots {
             });
         });
         let related = related.then(|| self.choose(ui));
-        let mut plot = Plot::new(("curves", related.is_some())).allow_scroll(false).show_grid(true);
+        let mut plot = Plot::new(("curves", related.is_some())).allow_scroll(false).show_grid(!empty);
         plot = plot.y_axis_formatter(|mark, _| in_steps(mark.value, mark.step_size));
         plot = match (self.kind, &related) {
             (Kind::Scatter, _) => plot.x_axis_label(self.x.as_str()).y_axis_label(self.y.as_str()),

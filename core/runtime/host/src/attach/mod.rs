@@ -22,6 +22,9 @@ mod target;
 pub mod tunnel;
 mod window;
 
+/// Number of packets of each of two compared outputs among which one tick is searched: 130 ms of delay between the two at 120 Hz.
+pub const PAIR_TICKS: usize = 16;
+
 pub use packet::{Packet, PacketError};
 pub use program::{KEYS_VARIABLE, LISTENERS};
 pub use queue::{Full, Queue};

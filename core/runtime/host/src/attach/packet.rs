@@ -47,6 +47,8 @@ struct Head {
     age_ns: Option<i64>,
     /// Time when the head was made, ns of the sender's monotonic clock.
     made_ns: i64,
+    /// Whether the next packet is that of the compared output, of the same tick.
+    is_first: bool,
 }
 
 /// A packet to be sent.
@@ -81,8 +83,15 @@ impl Outgoing {
             tick: (f.tick.source, f.tick.flags, f.tick.seq, f.tick.capture_ns),
             age_ns,
             made_ns,
+            is_first: false,
         };
         Some(Self { head, bytes: coded.unwrap_or(bytes) })
+    }
+
+    /// As the first of two packets of one tick, which arrive together.
+    pub fn first(mut self, is_first: bool) -> Self {
+        self.head.is_first = is_first;
+        self
     }
 
     /// Appends it to a message.
@@ -149,6 +158,8 @@ pub struct Packet {
     pub age_ns: Option<i64>,
     /// Time when the message was made, ns of the other machine's monotonic clock.
     pub made_ns: i64,
+    /// Whether the next packet is that of the compared output, of the same tick.
+    pub(crate) is_first: bool,
 }
 
 impl Packet {
@@ -200,6 +211,7 @@ impl Packet {
             size_px: (head.size_px.0 as usize, head.size_px.1 as usize),
             age_ns: head.age_ns,
             made_ns: head.made_ns,
+            is_first: head.is_first,
         })
     }
 }

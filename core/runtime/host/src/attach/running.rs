@@ -15,6 +15,7 @@ use crate::loader::Live;
 use crate::loader::live::LiveError;
 use crate::loader::sealed::readable;
 use panoscope_engine::fault::FaultCursor;
+use panoscope_engine::memory::FrameRef;
 use panoscope_engine::sync::lock;
 use panoscope_engine::{ApplyError, Engine, NodeWindow, Preview, Window, clock};
 use panoscope_graph::ParamValue;
@@ -23,7 +24,7 @@ use crate::attach::message::{self, Command, Message, Opened, Refused, Wanted};
 use crate::attach::packet::Outgoing;
 use crate::attach::queue::Queue;
 use crate::attach::tunnel::{self, Frame, Kind};
-use crate::attach::{program, rules};
+use crate::attach::{PAIR_TICKS, program, rules};
 
 /// Maximum number of unacknowledged packets of one output.
 const MAX_UNDERWAY: u32 = 2;
@@ -80,6 +81,51 @@ struct Feed {
     underway: u32,
     /// Time when the last packet was sent.
     at: Option<Instant>,
+}
+
+impl Feed {
+    /// Whether it may send now.
+    fn is_due(&self, interval: Duration) -> bool {
+        self.underway < MAX_UNDERWAY && self.at.is_none_or(|at| at.elapsed() >= interval)
+    }
+
+    /// Notes that a packet is sent.
+    fn sends(&mut self, packet: FrameRef, is_first: bool) -> Sent {
+        (self.underway, self.at) = (self.underway + 1, Some(Instant::now()));
+        Sent { wanted: self.wanted.clone(), packet, is_first }
+    }
+}
+
+/// A packet on its way to a window.
+struct Sent {
+    wanted: Wanted,
+    packet: FrameRef,
+    /// Whether the next one is of the same tick.
+    is_first: bool,
+}
+
+/// Packets of the outputs that are due. Two compared outputs are due together, and send packets of one tick if there are any.
+fn due(feeds: &mut [Feed], interval: Duration) -> Vec<Sent> {
+    let (mut paired, mut single): (Vec<&mut Feed>, Vec<&mut Feed>) =
+        feeds.iter_mut().partition(|feed| feed.wanted.is_paired);
+    if let [a, b] = &mut paired[..] {
+        if !a.is_due(interval) || !b.is_due(interval) {
+            paired.clear();
+        } else if let Some((first, second)) = a.preview.take_pair(&b.preview) {
+            return [a.sends(first, true), b.sends(second, false)]
+                .into_iter()
+                .chain(newest(single, interval))
+                .collect();
+        }
+    }
+    single.append(&mut paired);
+    newest(single, interval).collect()
+}
+
+/// The newest packets of the outputs that are due.
+fn newest(feeds: Vec<&mut Feed>, interval: Duration) -> impl Iterator<Item = Sent> {
+    let due = feeds.into_iter().filter(move |feed| feed.is_due(interval));
+    due.filter_map(|feed| feed.preview.take().map(|packet| feed.sends(packet, false)))
 }
 
 /// An attached window.
@@ -303,6 +349,7 @@ impl Attachable {
                 if feeds.iter().all(|feed| feed.wanted != *one)
                     && let Some(preview) = engine.preview(&one.node, &one.port)
                 {
+                    preview.keep(if one.is_paired { PAIR_TICKS } else { 1 });
                     feeds.push(Feed { wanted: one.clone(), preview, underway: 0, at: None });
                 }
             }
@@ -321,21 +368,14 @@ impl Attachable {
             let mut is_idle = true;
             for (id, session) in &mut lock(&self.shared.state).sessions {
                 is_idle = false;
-                let Session { feeds, interval, .. } = session;
-                let is_time = |feed: &&mut Feed| feed.at.is_none_or(|at| at.elapsed() >= *interval);
-                for feed in feeds.iter_mut().filter(|feed| feed.underway < MAX_UNDERWAY).filter(is_time) {
-                    if let Some(frame) = feed.preview.take() {
-                        (feed.underway, feed.at) = (feed.underway + 1, Some(Instant::now()));
-                        taken.push((*id, feed.wanted.clone(), frame));
-                    }
-                }
+                taken.extend(due(&mut session.feeds, session.interval).into_iter().map(|sent| (*id, sent)));
             }
-            for (id, wanted, frame) in taken.drain(..) {
+            for (id, Sent { wanted, packet: frame, is_first }) in taken.drain(..) {
                 let now_ns = i64::try_from(clock::now_ns()).unwrap_or(i64::MAX);
                 let age_ns = engine.arrived_ns(&frame.tick()).map(|arrived_ns| now_ns.saturating_sub(arrived_ns));
                 let output = (wanted.node.as_str(), wanted.port.as_str());
                 if let Some(packet) = Outgoing::of(output, &frame, wanted.max_width, age_ns, system_ns()) {
-                    let bytes = message::write_packet(&packet);
+                    let bytes = message::write_packet(&packet.first(is_first));
                     self.shared.put(Frame { kind: Kind::Data, session: id, bytes });
                 }
             }

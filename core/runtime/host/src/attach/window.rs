@@ -87,6 +87,8 @@ struct Inner {
     values: HashMap<String, Vec<ParamValue>>,
     /// The newest packet of each output, and when its light arrived, ns of this process's clock.
     packets: HashMap<(String, String), (Packet, Option<i64>)>,
+    /// The first of two packets of one tick, until the second one arrives: both are new at one time.
+    first: Option<(Packet, Option<i64>)>,
     wanted: Vec<Wanted>,
     interval_ms: u64,
     answers: HashMap<u64, Edit>,
@@ -176,10 +178,22 @@ impl Attachment {
     /// The newest packet of an output since the last call, and the latest possible arrival of its light, ns of this
     /// process's clock.
     pub fn take_packet(&self, node: &str, port: &str) -> Option<(Packet, Option<i64>)> {
+        lock(&self.shared.inner).give((node, port))
+    }
+
+    /// The newest packets of two compared outputs, where they are of one tick and neither was taken; as in [`Self::take_packet`].
+    pub fn take_pair(&self, outputs: [(&str, &str); 2]) -> Option<[(Packet, Option<i64>); 2]> {
         let mut inner = lock(&self.shared.inner);
-        let taken = inner.packets.remove(&(node.to_owned(), port.to_owned()))?;
-        inner.send(&Command::Taken { node: node.to_owned(), port: port.to_owned() });
-        Some(taken)
+        let tick = |(node, port): (&str, &str)| {
+            let packet = &inner.packets.get(&(node.to_owned(), port.to_owned()))?.0;
+            Some((packet.frame.tick().source, packet.frame.tick().seq))
+        };
+        let [a, b] = outputs.map(tick);
+        if a.is_none() || a != b {
+            return None;
+        }
+        let [a, b] = outputs.map(|output| inner.give(output));
+        Some([a?, b?])
     }
 
     /// Replaces the running graph by the one in `text`, which was edited from `base`, and waits for the answer as long
@@ -228,6 +242,13 @@ impl Inner {
         if let Some(out) = &self.out {
             let _ = out.send(Frame { kind: Kind::Data, session: 0, bytes: message::write_command(command) });
         }
+    }
+
+    /// Hands out the newest packet of an output, which is underway no more.
+    fn give(&mut self, (node, port): (&str, &str)) -> Option<(Packet, Option<i64>)> {
+        let taken = self.packets.remove(&(node.to_owned(), port.to_owned()))?;
+        self.send(&Command::Taken { node: node.to_owned(), port: port.to_owned() });
+        Some(taken)
     }
 
     fn send_wanted(&self) {
@@ -384,6 +405,16 @@ impl Inner {
             let now_ns = i64::try_from(clock::now_ns()).unwrap_or(i64::MAX);
             now_ns.saturating_sub(age_ns.max(0).saturating_add(way_ns))
         });
+        let first = self.first.take();
+        first.into_iter().for_each(|(packet, arrived_ns)| self.put(packet, arrived_ns));
+        match packet.is_first {
+            true => self.first = Some((packet, arrived_ns)),
+            false => self.put(packet, arrived_ns),
+        }
+    }
+
+    /// Makes a packet the newest one of its output.
+    fn put(&mut self, packet: Packet, arrived_ns: Option<i64>) {
         let key = (packet.node.clone(), packet.port.clone());
         let is_wanted = self.wanted.iter().any(|one| one.node == key.0 && one.port == key.1);
         // One that nobody wants any more, or that came before the last one was taken, is underway no more.

@@ -1,0 +1,77 @@
+//! Where the packets of previews come from: this run, or that of another machine.
+
+use std::sync::Arc;
+
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::{Engine, Preview};
+use panoscope_host::attach::message::Wanted;
+use panoscope_host::attach::{Attachment, Packet};
+
+use super::{Output, PreviewRequest};
+
+/// Where the packets of an output come from.
+pub(super) enum Feed {
+    Engine(Preview),
+    Machine(Arc<Attachment>, Output),
+}
+
+/// A packet with what only its feed knows.
+pub(super) struct Fed {
+    pub frame: FrameRef,
+    /// From a machine: when its light arrived, and its size before it was thinned, px.
+    pub elsewhere: Option<(Option<i64>, (usize, usize))>,
+}
+
+impl From<(Packet, Option<i64>)> for Fed {
+    fn from((packet, arrived_ns): (Packet, Option<i64>)) -> Self {
+        Self { frame: packet.frame, elsewhere: Some((arrived_ns, packet.size_px)) }
+    }
+}
+
+impl Feed {
+    /// Keeps the newest packets for pairs.
+    pub fn keep(&self, count: usize) {
+        if let Self::Engine(preview) = self {
+            preview.keep(count);
+        }
+    }
+
+    /// The newest packets of one tick of two outputs.
+    pub fn take_pair(&self, other: &Self) -> Option<[Fed; 2]> {
+        match (self, other) {
+            (Self::Engine(preview), Self::Engine(other)) => {
+                let (a, b) = preview.take_pair(other)?;
+                Some([a, b].map(|frame| Fed { frame, elsewhere: None }))
+            }
+            (Self::Machine(machine, a), Self::Machine(_, b)) => {
+                Some(machine.take_pair([a, b].map(|output| (&*output.node, &*output.port)))?.map(Fed::from))
+            }
+            _ => None,
+        }
+    }
+
+    /// The newest packet since the last call.
+    pub fn take(&self) -> Option<Fed> {
+        match self {
+            Self::Engine(preview) => preview.take().map(|frame| Fed { frame, elsewhere: None }),
+            Self::Machine(machine, Output { node, port }) => machine.take_packet(node, port).map(Fed::from),
+        }
+    }
+}
+
+/// What a machine is to send for a preview, with packets of one tick for outputs that are compared or shown together.
+pub(super) fn wanted(output: &Output, request: &PreviewRequest, is_compared: bool) -> Wanted {
+    let is_paired = is_compared || request.pair.is_some();
+    let max_width = u32::try_from(request.max_width).unwrap_or(u32::MAX);
+    // A surface and points need all of a cloud.
+    let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
+    Wanted { node: output.node.clone(), port: output.port.clone(), max_width, is_paired }
+}
+
+/// The packets of an output.
+pub(super) fn feed(output: &Output, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) -> Option<Feed> {
+    match machine {
+        Some(machine) => Some(Feed::Machine(Arc::clone(machine), output.clone())),
+        None => engine?.preview(&output.node, &output.port).map(Feed::Engine),
+    }
+}
