@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{Engine, NodeReport, NodeWindow, Preview, Window};
-use panoscope_host::attach::Attachment;
+use panoscope_engine::{Engine, NodeReport, NodeWindow, Window};
 use panoscope_host::attach::message::Wanted;
 use serde::{Deserialize, Serialize};
 
 use crate::comparing::{self, Comparison, ComparisonRequest};
+use crate::feed::{Fed, Feed};
 pub use crate::output::{Output, WireEnd};
 use crate::picture::{self, Range, RenderedPacket};
 use crate::probe::{self, Probe, ProbeRequest};
@@ -30,6 +30,8 @@ pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
 pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
 /// Number of packets of each compared output among which one tick is searched: 130 ms of delay between the two at 120 Hz.
 const PAIR_TICKS: usize = 16;
+/// Number of kept maps of confidence. Each is made before the points of its tick, and few are made before these are.
+const CONFIDENCE_TICKS: usize = 4;
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 /// Number of points in a node's history: two minutes.
 const HISTORY: usize = 240;
@@ -45,6 +47,8 @@ pub struct PreviewRequest {
     pub viewpoint: Option<Viewpoint>,
     /// For a cloud: whether its points are needed too.
     pub points: bool,
+    /// For these points: the output with the confidence of their disparities.
+    pub confidence: Option<Output>,
 }
 
 /// Counters and histories of all nodes.
@@ -234,48 +238,10 @@ impl Drop for Observer {
     }
 }
 
-/// Where the packets of an output come from.
-enum Feed {
-    Engine(Preview),
-    Machine(Arc<Attachment>, Output),
-}
-
-/// A packet with what only its feed knows.
-struct Fed {
-    frame: FrameRef,
-    /// From a machine: when its light arrived, and its size before it was thinned, px.
-    elsewhere: Option<(Option<i64>, (usize, usize))>,
-}
-
-impl Feed {
-    /// Keeps some packets for pairs, or only the newest one.
-    fn keep_for_pairs(&self, keeps: bool) {
-        if let Self::Engine(preview) = self {
-            preview.keep(if keeps { PAIR_TICKS } else { 1 });
-        }
-    }
-
-    /// The newest packets of one tick of two outputs of this run.
-    fn take_pair(&self, other: &Self) -> Option<[Fed; 2]> {
-        let (Self::Engine(preview), Self::Engine(other)) = (self, other) else { return None };
-        let (a, b) = preview.take_pair(other)?;
-        Some([a, b].map(|frame| Fed { frame, elsewhere: None }))
-    }
-
-    /// The newest packet since the last call.
-    fn take(&self) -> Option<Fed> {
-        match self {
-            Self::Engine(preview) => preview.take().map(|frame| Fed { frame, elsewhere: None }),
-            Self::Machine(machine, Output { node, port }) => {
-                let (packet, arrived_ns) = machine.take_packet(node, port)?;
-                Some(Fed { frame: packet.frame, elsewhere: Some((arrived_ns, packet.size_px)) })
-            }
-        }
-    }
-}
-
 struct OutputPreview {
     feed: Feed,
+    /// For points: where their confidence comes from, and whether points without it were left out.
+    confidence: Option<(Output, Feed, bool)>,
     /// From a machine: of the last packet.
     elsewhere: Option<(Option<i64>, (usize, usize))>,
     range: Range,
@@ -287,13 +253,43 @@ struct OutputPreview {
 
 impl OutputPreview {
     fn new(feed: Feed) -> Self {
-        Self { feed, elsewhere: None, range: None, surface: None, probed: None }
+        Self { feed, confidence: None, elsewhere: None, range: None, surface: None, probed: None }
+    }
+
+    /// Sets which output has the confidence of the points.
+    fn set_confidence(&mut self, wanted: Option<&Output>, engine: Option<&Engine>) {
+        if self.confidence.as_ref().map(|(output, ..)| output) == wanted {
+            return;
+        }
+        if let Some((output, feed, _)) = self.confidence.take() {
+            drop(feed);
+            if let Some(engine) = engine {
+                engine.end_previews(&output.node);
+            }
+        }
+        self.confidence = wanted.and_then(|output| {
+            let feed = Feed::of(output, None, engine)?;
+            feed.keep(CONFIDENCE_TICKS);
+            Some((output.clone(), feed, false))
+        });
+    }
+
+    /// The newest packet since the last call, with the confidence of its tick where that is wanted.
+    fn take(&mut self) -> Option<Fed> {
+        let Some((_, confidence, has_left_out)) = &mut self.confidence else { return self.feed.take() };
+        if let Some([points, confidence]) = self.feed.take_pair(confidence) {
+            return Some(Fed { confidence: Some(confidence.frame), ..points });
+        }
+        // The confidence of the first points may have come before it was asked for; later ones have none.
+        let fed = self.feed.take()?;
+        std::mem::replace(has_left_out, true).then_some(fed)
     }
 
     /// Renders a packet; `None` when there is no packet and the viewpoint is unchanged.
     fn render(&mut self, fed: Option<Fed>, request: &PreviewRequest, is_probed: bool) -> Option<RenderedPacket> {
+        let mut confidence = None;
         let frame = fed.map(|fed| {
-            self.elsewhere = fed.elsewhere;
+            (self.elsewhere, confidence) = (fed.elsewhere, fed.confidence);
             fed.frame
         });
         if !is_probed || request.viewpoint.is_some() {
@@ -304,7 +300,8 @@ impl OutputPreview {
             let frame = frame?;
             let mut render = picture::render(&frame, &request.packet, request.max_width, &mut self.range);
             if request.points {
-                render.cloud = surface::cloud_of(frame.frame(), frame.bytes()).map(Arc::new);
+                let confidence = confidence.as_ref().map(|map| (map.frame(), map.bytes()));
+                render.cloud = surface::cloud_of(frame.frame(), frame.bytes(), confidence).map(Arc::new);
             }
             if is_probed {
                 self.probed = Some((frame, None));
@@ -409,7 +406,9 @@ impl Worker {
         }
         let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
         for output in removed {
-            self.outputs.remove(&output);
+            if let Some(mut view) = self.outputs.remove(&output) {
+                view.set_confidence(None, engine.as_deref());
+            }
             if let Some(engine) = &engine {
                 engine.end_previews(&output.node);
             }
@@ -417,7 +416,7 @@ impl Worker {
         let mut changed = false;
         for output in requests.keys() {
             if !self.outputs.contains_key(output) {
-                let Some(feed) = feed(output, machine.as_ref(), engine.as_deref()) else { continue };
+                let Some(feed) = Feed::of(output, machine.as_ref(), engine.as_deref()) else { continue };
                 self.outputs.insert(output.clone(), OutputPreview::new(feed));
             }
         }
@@ -426,8 +425,9 @@ impl Worker {
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             let asked = probes.get(&output);
             let is_compared = compared.as_ref().is_some_and(|pair| [&pair.output, &pair.other].contains(&&output));
-            view.feed.keep_for_pairs(is_compared);
-            let fed = of_one_tick.remove(&output).or_else(|| view.feed.take());
+            view.feed.keep(if is_compared { PAIR_TICKS } else { 1 });
+            view.set_confidence(request.confidence.as_ref().filter(|_| machine.is_none()), engine.as_deref());
+            let fed = of_one_tick.remove(&output).or_else(|| view.take());
             let render = view.render(fed, &request, asked.is_some() || is_compared);
             if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
                 lock(&self.mailbox).probes.insert(output.clone(), probe);
@@ -568,12 +568,4 @@ fn wanted((output, request): (&Output, &PreviewRequest)) -> Wanted {
     // A surface and points need all of a cloud.
     let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
     Wanted { node: output.node.clone(), port: output.port.clone(), max_width }
-}
-
-/// The packets of an output.
-fn feed(output: &Output, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) -> Option<Feed> {
-    match machine {
-        Some(machine) => Some(Feed::Machine(Arc::clone(machine), output.clone())),
-        None => engine?.preview(&output.node, &output.port).map(Feed::Engine),
-    }
 }
