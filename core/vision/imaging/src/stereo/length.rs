@@ -73,7 +73,7 @@ const DOUBT_POWER: f64 = 0.56;
 /// What is missing to full confidence at least.
 const LEAST_DOUBT: f64 = 0.02;
 /// Natural logarithm of how much more a point without any confidence is in doubt: whole patches are matched wrongly there.
-const DOUBT_RISE: f64 = 1.8;
+const DOUBT_RISE: f64 = 2.1;
 /// What is missing to full confidence where it is not known.
 const UNKNOWN_DOUBT: f64 = 0.5;
 
