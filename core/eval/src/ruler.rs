@@ -66,11 +66,11 @@ type = "reproject"
 inputs = {{ image = "rectify.left", disparity = "sgbm_wls.disparity", confidence = "sgbm_wls.confidence", calibration = "rectify.calibration" }}
 [nodes.lengths]
 type = "measure"
-inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration" }}
+inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration", confidence = "sgbm_wls.confidence" }}
 params = {{ points = {pairs:?} }}
 [nodes.depths]
 type = "measure"
-inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration" }}
+inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration", confidence = "sgbm_wls.confidence" }}
 params = {{ kind = "depth", points = {single:?} }}
 "#
         )

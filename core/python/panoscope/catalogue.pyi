@@ -1713,14 +1713,14 @@ class NodeTypes:
         cloud: Points of the left rectified view.
         depth: Depth of the left rectified view; needs `calibration`.
         calibration: Calibration of the rectified views; without it errors are unknown.
-        confidence: Confidence of the disparity that the surface comes from, as a filter gives it: errors grow where it is low. Without it all is trusted.
+        confidence: Confidence of the disparity that the surface comes from, as a filter gives it: errors grow where it is low. Without it all errors are stated wide.
         drifted: State of the calibration, as a matcher gives it: above 0 it does not fit the views. Nothing is known then.
         tips: Tips of tools: one point each, after those of the parameter. A tip that is missing in a tick is an unknown point.
         detections: Boxes in the left rectified view: the centre of each is a point, after those of the parameter and the tips.
         kind: Kind of measurement. (default "distance")
         points: Points of the left rectified view in px: u, v, u, v, ... (default [])
         radius_px: Radius of the neighbourhood to which a surface is fitted at each point. (1 to 32 px; default 4)
-        disparity_noise_px: Standard deviation of a filtered disparity, in addition to the scatter around the point. (0 to 4 px; default 0.15)
+        disparity_noise_px: Standard deviation of a filtered disparity, added as a square to the scatter around the point: 0.35 where `scale` of the matcher halves the views. (0 to 4 px; default 0.05)
         disparity_offset_px: Standard deviation of the calibration's disparity offset; its reprojection error is used when larger. (0 to 4 px; default 0.05)
         baseline_error_mm: Standard deviation of the calibration's baseline. (0 to 4 mm; default 0.05)
         focal_error_percent: Standard deviation of the calibration's focal length. (0 to 10 %; default 0.1)"""

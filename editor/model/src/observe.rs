@@ -1,8 +1,7 @@
 //! Renders previews of the running graph for the window, at most five to ten times per second, and reads its counters twice per second. It
 //! runs on a thread of its own, so that the window's thread never waits.
 //!
-//! For each previewed output at most two frames are retained: the newest one, and the one being rendered. Of outputs that are compared or shown as
-//! a stereo pair a few more are, among which one tick of both is searched.
+//! For each previewed output at most two frames are retained: the newest one, and the one being rendered.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{NodeReport, NodeWindow, Window};
+use panoscope_engine::{Engine, NodeReport, NodeWindow, Window};
 use panoscope_host::attach::PAIR_TICKS;
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +24,7 @@ use crate::surface::{self, Painter, Viewpoint};
 use panoscope_engine::sync::lock;
 
 mod feed;
-use feed::{Fed, Feed, feed, wanted};
+use feed::{Fed, Feed, wanted};
 
 /// Minimum time between two previews of an output while one is shown large.
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
@@ -33,6 +32,8 @@ pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
 pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
 /// Number of packets of each eye among which one tick is searched: both come from one camera, one after the other.
 const EYE_TICKS: usize = 4;
+/// Number of kept maps of confidence. Each is made before the points of its tick, and few are made before these are.
+const CONFIDENCE_TICKS: usize = 4;
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 /// Number of points in a node's history: two minutes.
 const HISTORY: usize = 240;
@@ -50,6 +51,8 @@ pub struct PreviewRequest {
     pub points: bool,
     /// The output whose packets are shown with these, both of one tick: the other eye of a stereo pair.
     pub pair: Option<Output>,
+    /// For these points: the output with the confidence of their disparities.
+    pub confidence: Option<Output>,
 }
 
 /// Counters and histories of all nodes.
@@ -241,6 +244,8 @@ impl Drop for Observer {
 
 struct OutputPreview {
     feed: Feed,
+    /// For points: where their confidence comes from, and whether points without it were left out.
+    confidence: Option<(Output, Feed, bool)>,
     /// From a machine: of the last packet.
     elsewhere: Option<(Option<i64>, (usize, usize))>,
     range: Range,
@@ -252,13 +257,43 @@ struct OutputPreview {
 
 impl OutputPreview {
     fn new(feed: Feed) -> Self {
-        Self { feed, elsewhere: None, range: None, surface: None, probed: None }
+        Self { feed, confidence: None, elsewhere: None, range: None, surface: None, probed: None }
+    }
+
+    /// Sets which output has the confidence of the points.
+    fn set_confidence(&mut self, wanted: Option<&Output>, engine: Option<&Engine>) {
+        if self.confidence.as_ref().map(|(output, ..)| output) == wanted {
+            return;
+        }
+        if let Some((output, feed, _)) = self.confidence.take() {
+            drop(feed);
+            if let Some(engine) = engine {
+                engine.end_previews(&output.node);
+            }
+        }
+        self.confidence = wanted.and_then(|output| {
+            let feed = Feed::of(output, None, engine)?;
+            feed.keep(CONFIDENCE_TICKS);
+            Some((output.clone(), feed, false))
+        });
+    }
+
+    /// The newest packet since the last call, with the confidence of its tick where that is wanted.
+    fn take(&mut self) -> Option<Fed> {
+        let Some((_, confidence, has_left_out)) = &mut self.confidence else { return self.feed.take() };
+        if let Some([points, confidence]) = self.feed.take_pair(confidence) {
+            return Some(Fed { confidence: Some(confidence.frame), ..points });
+        }
+        // The confidence of the first points may have come before it was asked for; later ones have none.
+        let fed = self.feed.take()?;
+        std::mem::replace(has_left_out, true).then_some(fed)
     }
 
     /// Renders a packet; `None` when there is no packet and the viewpoint is unchanged.
     fn render(&mut self, fed: Option<Fed>, request: &PreviewRequest, is_probed: bool) -> Option<RenderedPacket> {
+        let mut confidence = None;
         let frame = fed.map(|fed| {
-            self.elsewhere = fed.elsewhere;
+            (self.elsewhere, confidence) = (fed.elsewhere, fed.confidence);
             fed.frame
         });
         if !is_probed || request.viewpoint.is_some() {
@@ -269,7 +304,8 @@ impl OutputPreview {
             let frame = frame?;
             let mut render = picture::render(&frame, &request.packet, request.max_width, &mut self.range);
             if request.points {
-                render.cloud = surface::cloud_of(frame.frame(), frame.bytes()).map(Arc::new);
+                let confidence = confidence.as_ref().map(|map| (map.frame(), map.bytes()));
+                render.cloud = surface::cloud_of(frame.frame(), frame.bytes(), confidence).map(Arc::new);
             }
             if is_probed {
                 self.probed = Some((frame, None));
@@ -376,7 +412,9 @@ impl Worker {
         }
         let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
         for output in removed {
-            self.outputs.remove(&output);
+            if let Some(mut view) = self.outputs.remove(&output) {
+                view.set_confidence(None, engine.as_deref());
+            }
             if let Some(engine) = &engine {
                 engine.end_previews(&output.node);
             }
@@ -384,7 +422,7 @@ impl Worker {
         let mut changed = false;
         for output in requests.keys() {
             if !self.outputs.contains_key(output) {
-                let Some(feed) = feed(output, machine.as_ref(), engine.as_deref()) else { continue };
+                let Some(feed) = Feed::of(output, machine.as_ref(), engine.as_deref()) else { continue };
                 self.outputs.insert(output.clone(), OutputPreview::new(feed));
             }
         }
@@ -406,7 +444,8 @@ impl Worker {
                 (false, Some(_)) => EYE_TICKS,
                 (false, None) => 1,
             });
-            let fed = of_one_tick.remove(&output).or_else(|| view.feed.take());
+            view.set_confidence(request.confidence.as_ref().filter(|_| machine.is_none()), engine.as_deref());
+            let fed = of_one_tick.remove(&output).or_else(|| view.take());
             let render = view.render(fed, &request, asked.is_some() || is_compared);
             if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
                 lock(&self.mailbox).probes.insert(output.clone(), probe);

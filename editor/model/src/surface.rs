@@ -51,17 +51,22 @@ pub struct Cloud {
     pub height: usize,
     /// x, y, z in mm in the camera's frame; NaN where nothing was measured.
     pub xyz_mm: Vec<[f32; 3]>,
+    /// Confidence of each point's disparity, 0 to 1; NaN, or none at all, where it is not known.
+    pub confidence: Vec<f32>,
 }
 
 impl Cloud {
     /// The surface point at a column and row, estimated from the pixels within `radius_px`; `None` when too few are known.
     pub fn surface_point(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
         let at = [f64::from(u).max(0.0), f64::from(v).max(0.0)];
-        SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
+        let point = SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
             let [x, y, z] = self.xyz_mm.get(y * self.width + x)?.map(f64::from);
             let known = z > 0.0 && [x, y, z].iter().all(|v| v.is_finite());
             known.then(|| [x / z, y / z, 1.0 / z])
-        })
+        })?;
+        // Inside, or there would be no point.
+        let [x, y] = [(at[0], self.width), (at[1], self.height)].map(|(at, end)| (at.round() as usize).min(end - 1));
+        Some(point.trusted(self.confidence.get(y * self.width + x).copied().unwrap_or(f32::NAN)))
     }
 }
 
@@ -128,13 +133,27 @@ fn parse<'b>(frame: &abi::Frame, bytes: &'b [u8]) -> Option<packet::Cloud<'b>> {
     packet::Cloud::parse(bytes, frame.width as usize, frame.height as usize, frame.stride_bytes as usize).ok()
 }
 
-/// The measured points of a cloud packet, to take lengths from; `None` when the frame is not a cloud or its description does not fit its bytes.
-pub fn cloud_of(frame: &abi::Frame, bytes: &[u8]) -> Option<Cloud> {
+/// The measured points of a cloud packet, to take lengths from, with the packet of their confidence; `None` when the frame is not a cloud or its
+/// description does not fit its bytes. A confidence of another size counts as unknown.
+pub fn cloud_of(frame: &abi::Frame, bytes: &[u8], confidence: Option<(&abi::Frame, &[u8])>) -> Option<Cloud> {
     let cloud = parse(frame, bytes)?;
     let all = (0..cloud.height()).flat_map(|row| (0..cloud.width()).map(move |column| (column, row)));
     let measured = |p: abi::CloudPoint| if p.is_measured() { [p.x_mm, p.y_mm, p.z_mm] } else { [f32::NAN; 3] };
     let xyz_mm = all.filter_map(|(x, y)| cloud.point(x, y)).map(measured).collect();
-    Some(Cloud { width: cloud.width(), height: cloud.height(), xyz_mm })
+    let of_size = confidence.filter(|(map, _)| (map.width, map.height) == (frame.width, frame.height));
+    let confidence = of_size.and_then(|(map, bytes)| plane(map, bytes)).unwrap_or_default();
+    Some(Cloud { width: cloud.width(), height: cloud.height(), xyz_mm, confidence })
+}
+
+/// The numbers of a map, row by row; `None` when it has none or its description does not fit its bytes.
+fn plane(frame: &abi::Frame, bytes: &[u8]) -> Option<Vec<f32>> {
+    let (width, stride) = (frame.width as usize * size_of::<f32>(), frame.stride_bytes as usize);
+    if frame.format != abi::FORMAT_F32 {
+        return None;
+    }
+    let rows = (0..frame.height as usize).map(|y| bytes.get(y * stride..y * stride + width));
+    let rows: Option<Vec<&[u8]>> = rows.collect();
+    Some(rows?.concat().as_chunks().0.iter().map(|number| f32::from_le_bytes(*number)).collect())
 }
 
 /// Renders clouds; reuses its buffers.
@@ -246,7 +265,7 @@ mod tests {
             (red, depth_buffer.pick(x, y).is_some())
         };
         assert_eq!((at([0.0, 0.0, 50.0]), at([-10.0, 0.0, 50.0])), ((160, false), (200, true)));
-        let cloud = cloud_of(&frame, &bytes).unwrap();
+        let cloud = cloud_of(&frame, &bytes, None).unwrap();
         assert!(cloud.xyz_mm[15 * 40 + 20][2].is_nan() && cloud.xyz_mm[15 * 40 + 10][2] == 50.0);
         assert_eq!(cloud.surface_point((20.0, 15.0), 2), None);
     }
@@ -260,14 +279,36 @@ mod tests {
     }
 
     #[test]
+    fn a_surface_point_has_the_confidence_of_its_pixel() {
+        let (frame, bytes) = plane(40, 30);
+        // Rows of 44 numbers, four of them beyond the map.
+        let numbers = (0..30 * 44).map(|i| if i == 10 * 44 + 20 { 0.25f32 } else { 0.75 });
+        let map: Vec<u8> = numbers.flat_map(f32::to_le_bytes).collect();
+        let map_frame = abi::Frame { format: abi::FORMAT_F32, stride_bytes: 44 * 4, len: map.len(), ..frame };
+        let confidence = |map_frame: &abi::Frame| {
+            let cloud = cloud_of(&frame, &bytes, Some((map_frame, &map[..]))).unwrap();
+            [(20.4, 9.6), (21.0, 10.0)].map(|at| cloud.surface_point(at, 4).unwrap().confidence)
+        };
+        assert_eq!(confidence(&map_frame), [Some(0.25), Some(0.75)]);
+        // Another size, another kind, or cut off: not known.
+        for wrong in [
+            abi::Frame { width: 39, ..map_frame },
+            abi::Frame { format: abi::FORMAT_GRAY8, ..map_frame },
+            abi::Frame { stride_bytes: 48 * 4, ..map_frame },
+        ] {
+            assert_eq!(confidence(&wrong), [None, None]);
+        }
+    }
+
+    #[test]
     fn a_surface_point_comes_from_the_points_around_it() {
         let (frame, bytes) = plane(40, 30);
-        let mut cloud = cloud_of(&frame, &bytes).unwrap();
+        let mut cloud = cloud_of(&frame, &bytes, None).unwrap();
         cloud.xyz_mm[10 * 40 + 20] = [f32::NAN; 3];
         let depth = cloud.surface_point((20.0, 10.0), 4).map(|p| p.xyz_mm(0.0)[2]);
         assert!(depth.is_some_and(|z| (z - 50.0).abs() < 1e-6), "{depth:?}");
         cloud.xyz_mm.fill([f32::NAN; 3]);
         assert_eq!(cloud.surface_point((20.0, 10.0), 4), None);
-        assert_eq!(cloud_of(&abi::Frame { height: 4000, ..frame }, &bytes), None, "described wrongly");
+        assert_eq!(cloud_of(&abi::Frame { height: 4000, ..frame }, &bytes, None), None, "described wrongly");
     }
 }

@@ -67,7 +67,7 @@ pub use alarms::{ALL as ALARMS, Alarm, Urgency};
 pub use arrange::Layout;
 pub use attached::MachineFacts;
 pub use guard::{Guard, Program};
-pub use measure::Length;
+pub use measure::{Length, Tapped};
 pub use notices::Notice;
 pub use open::{OpenError, Opened, Options, Ready, Verified};
 pub use open_failed::OpenFailed;
@@ -338,6 +338,11 @@ impl Theatre {
     /// File of the clip being recorded.
     pub fn clip_file(&self) -> Option<&Path> {
         self.clip.as_ref().map(|c| c.file.as_path())
+    }
+
+    /// The tapped points.
+    pub fn tapped(&self) -> &[Tapped] {
+        self.measure.points()
     }
 
     /// Distance between the last two tapped points.

@@ -261,7 +261,7 @@ mod tests {
             let (x, y) = ((i % 30) as f32, (i / 30) as f32);
             if x >= 20.0 { [f32::NAN; 3] } else { [x, y, 50.0] }
         };
-        let cloud = Cloud { width: 30, height: 20, xyz_mm: (0..600).map(point).collect() };
+        let cloud = Cloud { width: 30, height: 20, xyz_mm: (0..600).map(point).collect(), confidence: vec![1.0; 600] };
         let pixels = Pixels { width: 30, height: 20, rgba: vec![7; 30 * 20 * 4] };
         let mut measure = Measure::begin();
         let packet = RenderedPacket { cloud: Some(Arc::new(cloud)), pixels: Some(pixels), ..RenderedPacket::default() };

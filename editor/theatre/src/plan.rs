@@ -125,6 +125,8 @@ pub struct Plan {
     pub pair: Option<[Output; 2]>,
     /// The point cloud to measure in.
     pub cloud: Option<Output>,
+    /// The confidence of its disparities, where the node that makes it reads one.
+    pub confidence: Option<Output>,
     /// The stereo geometry of the cloud.
     pub rig: Option<RigSource>,
     /// Pinned settings.
@@ -216,7 +218,8 @@ pub(crate) mod tests {
         let node_types = vec![
             node("cam", &[], &["left:image", "right:image", "pose:pose"]),
             node("wide", &["l:image", "r:image"], &["panorama:image"]),
-            node("points", &["l:image"], &["cloud:cloud", "depth:depth"]),
+            node("points", &["l:image", "trust:confidence"], &["cloud:cloud", "depth:depth"]),
+            node("match", &["l:image"], &["trust:confidence"]),
             node("turn", &["cloud:cloud"], &["image:image"]),
             node("write", &["image:image"], &[]),
             arm,
@@ -276,6 +279,9 @@ inputs = { pose = "scope.pose" }
         let eyes = plan.pair.map(|pair| pair.map(|eye| eye.to_string()));
         assert_eq!(eyes, Some(["scope.left".to_owned(), "scope.right".to_owned()]));
         assert_eq!(plan.cloud.as_ref().unwrap().to_string(), "points.cloud");
+        assert_eq!(plan.confidence, None);
+        let matched = TEXT.replace("[nodes.points]\ntype = \"points\"\ninputs = {", "[nodes.m]\ntype = \"match\"\ninputs = { l = \"scope.left\" }\n[nodes.points]\ntype = \"points\"\ninputs = { trust = \"m.trust\",");
+        assert_eq!(self::plan(&matched).confidence, Some(Output::new("m", "trust")));
         let made_of =
             |output: &str| plan.cameras_of.iter().find(|(o, _)| o.to_string() == output).map(|(_, of)| &of[..]);
         assert_eq!(made_of("wide_view.panorama"), Some(&[0, 1][..]));

@@ -444,7 +444,14 @@ impl Theatre {
             }
             if let Some(cloud) = self.plan.cloud.as_ref().filter(|_| self.measure.is_waiting()) {
                 let packet = "cloud".to_owned();
-                let points = PreviewRequest { packet, max_width: MAX_WIDTH, points: true, ..PreviewRequest::default() };
+                let confidence = self.plan.confidence.clone();
+                let points = PreviewRequest {
+                    packet,
+                    max_width: MAX_WIDTH,
+                    points: true,
+                    confidence,
+                    ..PreviewRequest::default()
+                };
                 requests.insert(cloud.clone(), points);
             }
         }

@@ -35,6 +35,7 @@ impl Plan {
             camera_sources: cameras.iter().map(|camera| wiring.camera_source(camera)).collect(),
             cameras_of,
             rig: cloud.as_ref().and_then(|cloud| wiring.rig(cloud)),
+            confidence: cloud.as_ref().and_then(|cloud| wiring.read_by(&cloud.node, "confidence")),
             settings: wiring.settings(),
             stops: (0..graph.nodes.len()).filter_map(|n| wiring.stop(n)).collect(),
             listening: listening.collect(),
@@ -156,10 +157,15 @@ impl<'a> Wiring<'a> {
 
     /// The calibration behind a point cloud.
     fn rig(self, cloud: &Output) -> Option<RigSource> {
-        let made_by = self.graph.node(&cloud.node)?;
-        let input = self.node_type(made_by).inputs.iter().position(|p| p.packet.name == "calibration")?;
-        let wire = self.graph.inputs_of(made_by).iter().find(|e| e.to_port == input)?;
-        Some(RigSource { calibration: self.output(wire.from_node, wire.from_port), noise: self.noise() })
+        Some(RigSource { calibration: self.read_by(&cloud.node, "calibration")?, noise: self.noise() })
+    }
+
+    /// The output that a node reads as its input of a type.
+    fn read_by(self, node: &str, packet: &str) -> Option<Output> {
+        let node = self.graph.node(node)?;
+        let input = self.node_type(node).inputs.iter().position(|p| p.packet.name == packet)?;
+        let wire = self.graph.inputs_of(node).iter().find(|e| e.to_port == input)?;
+        Some(self.output(wire.from_node, wire.from_port))
     }
 
     /// The pinned parameters.

@@ -361,7 +361,10 @@ impl Worker {
         };
         let pixels = packet.pixels.take().map(fitted).and_then(|p| block(p.width, p.height, &p.rgba));
         let cloud = packet.cloud.as_ref().and_then(|cloud| {
-            let bytes: Vec<u8> = cloud.xyz_mm.iter().flatten().flat_map(|number| number.to_le_bytes()).collect();
+            let unknown = std::iter::repeat(&f32::NAN);
+            let points = cloud.xyz_mm.iter().zip(cloud.confidence.iter().chain(unknown));
+            let numbers = points.flat_map(|([x, y, z], confidence)| [*x, *y, *z, *confidence]);
+            let bytes: Vec<u8> = numbers.flat_map(f32::to_le_bytes).collect();
             block(cloud.width, cloud.height, &bytes)
         });
         let age_ns = packet

@@ -288,14 +288,15 @@ fn reproject_refuses_what_does_not_fit() -> TestResult {
     Ok(())
 }
 
-fn measure(toml: &str, noise_px: f32) -> Result<Vec<Vec<f64>>, HarnessError> {
-    // Noise that repeats: +, 0, - by a hash of the place.
+/// Depths of the slope, with noise of its disparities that repeats: +, 0, - by a hash of the place.
+fn slope_depth(noise_px: f32) -> Vec<f32> {
     let noisy = |index: usize| noise_px * ((index * 2_654_435_761) % 3) as f32 - noise_px;
-    let depth: Vec<f32> = slope_map()
-        .iter()
-        .enumerate()
-        .map(|(index, disparity)| (FOCAL * BASELINE) as f32 / (disparity + noisy(index)))
-        .collect();
+    let depth = |(index, disparity): (usize, &f32)| (FOCAL * BASELINE) as f32 / (disparity + noisy(index));
+    slope_map().iter().enumerate().map(depth).collect()
+}
+
+fn measure(toml: &str, noise_px: f32) -> Result<Vec<Vec<f64>>, HarnessError> {
+    let depth = slope_depth(noise_px);
     let mut node = Harness::<Measure>::from_toml(toml)?;
     let out = node
         .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
@@ -339,7 +340,7 @@ fn the_stated_error_follows_the_noise() -> TestResult {
 
 #[test]
 fn the_stated_error_grows_where_the_confidence_is_low() -> TestResult {
-    let depth: Vec<f32> = slope_map().iter().map(|disparity| (FOCAL * BASELINE) as f32 / disparity).collect();
+    let depth = slope_depth(0.5);
     let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30, 280, 90] }")?;
     let mut stated = |confidence: f32, height: usize| -> Result<f64, HarnessError> {
         let trust = vec![confidence; SIZE.0 * height];
@@ -350,8 +351,9 @@ fn the_stated_error_grows_where_the_confidence_is_low() -> TestResult {
             .process()?;
         Ok(out.table("table")?.rows().map(|row| row[5]).sum())
     };
-    let (full, low) = (stated(1.0, SIZE.1)?, stated(0.3, SIZE.1)?);
-    assert!(low > 5.0 * full, "{full} and {low} mm");
+    let (full, low, unknown) = (stated(1.0, SIZE.1)?, stated(0.3, SIZE.1)?, stated(f32::NAN, SIZE.1)?);
+    assert!(low > 4.0 * full, "{full} and {low} mm");
+    assert!((2.0 * full..low).contains(&unknown), "{full}, {unknown} and {low} mm");
     let wrong = stated(1.0, 60).map_err(|error| error.to_string());
     assert!(wrong.as_ref().is_err_and(|text| text.contains("320x60")), "{wrong:?}");
     Ok(())

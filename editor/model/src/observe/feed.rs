@@ -18,17 +18,33 @@ pub(super) enum Feed {
 /// A packet with what only its feed knows.
 pub(super) struct Fed {
     pub frame: FrameRef,
+    /// For points: the confidence of their tick.
+    pub confidence: Option<FrameRef>,
     /// From a machine: when its light arrived, and its size before it was thinned, px.
     pub elsewhere: Option<(Option<i64>, (usize, usize))>,
 }
 
 impl From<(Packet, Option<i64>)> for Fed {
     fn from((packet, arrived_ns): (Packet, Option<i64>)) -> Self {
-        Self { frame: packet.frame, elsewhere: Some((arrived_ns, packet.size_px)) }
+        Self { elsewhere: Some((arrived_ns, packet.size_px)), ..packet.frame.into() }
+    }
+}
+
+impl From<FrameRef> for Fed {
+    fn from(frame: FrameRef) -> Self {
+        Self { frame, confidence: None, elsewhere: None }
     }
 }
 
 impl Feed {
+    /// Of an output of a machine, else of the run.
+    pub fn of(output: &Output, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) -> Option<Self> {
+        match machine {
+            Some(machine) => Some(Self::Machine(Arc::clone(machine), output.clone())),
+            None => engine?.preview(&output.node, &output.port).map(Self::Engine),
+        }
+    }
+
     /// Keeps the newest packets for pairs.
     pub fn keep(&self, count: usize) {
         if let Self::Engine(preview) = self {
@@ -41,7 +57,7 @@ impl Feed {
         match (self, other) {
             (Self::Engine(preview), Self::Engine(other)) => {
                 let (a, b) = preview.take_pair(other)?;
-                Some([a, b].map(|frame| Fed { frame, elsewhere: None }))
+                Some([a, b].map(Fed::from))
             }
             (Self::Machine(machine, a), Self::Machine(_, b)) => {
                 Some(machine.take_pair([a, b].map(|output| (&*output.node, &*output.port)))?.map(Fed::from))
@@ -53,7 +69,7 @@ impl Feed {
     /// The newest packet since the last call.
     pub fn take(&self) -> Option<Fed> {
         match self {
-            Self::Engine(preview) => preview.take().map(|frame| Fed { frame, elsewhere: None }),
+            Self::Engine(preview) => preview.take().map(Fed::from),
             Self::Machine(machine, Output { node, port }) => machine.take_packet(node, port).map(Fed::from),
         }
     }
@@ -66,12 +82,4 @@ pub(super) fn wanted(output: &Output, request: &PreviewRequest, is_compared: boo
     // A surface and points need all of a cloud.
     let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
     Wanted { node: output.node.clone(), port: output.port.clone(), max_width, is_paired }
-}
-
-/// The packets of an output.
-pub(super) fn feed(output: &Output, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) -> Option<Feed> {
-    match machine {
-        Some(machine) => Some(Feed::Machine(Arc::clone(machine), output.clone())),
-        None => engine?.preview(&output.node, &output.port).map(Feed::Engine),
-    }
 }

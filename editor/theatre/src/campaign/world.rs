@@ -474,7 +474,8 @@ impl World {
         let arrived_ns = (time::clock_ns() as i64).saturating_sub(ago.as_nanos() as i64);
         let cloud = (mark.view == SURFACE).then(|| {
             let point = |i: usize| [(i % width) as f32, (i / width) as f32, 50.0];
-            Arc::new(Cloud { width, height, xyz_mm: (0..width * height).map(point).collect() })
+            let xyz_mm = (0..width * height).map(point).collect();
+            Arc::new(Cloud { width, height, xyz_mm, confidence: vec![1.0; width * height] })
         });
         let packet = RenderedPacket {
             pixels: Some(mark.pixels()),

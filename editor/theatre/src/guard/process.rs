@@ -355,10 +355,11 @@ impl Reader {
         };
         let cloud = match picture.cloud {
             Some(block) => {
-                let (width, height, bytes) = self.block(block, 12)?;
-                let number = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-                let xyz_mm = bytes.chunks_exact(12).map(|p| [number(&p[..4]), number(&p[4..8]), number(&p[8..])]);
-                Some(Arc::new(Cloud { width, height, xyz_mm: xyz_mm.collect() }))
+                let (width, height, bytes) = self.block(block, 16)?;
+                let points = bytes.as_chunks::<4>().0.as_chunks::<4>().0;
+                let points = points.iter().map(|point| point.map(f32::from_le_bytes));
+                let (xyz_mm, confidence) = points.map(|[x, y, z, confidence]| ([x, y, z], confidence)).unzip();
+                Some(Arc::new(Cloud { width, height, xyz_mm, confidence }))
             }
             None => None,
         };

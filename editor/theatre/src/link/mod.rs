@@ -188,7 +188,7 @@ pub(crate) struct Picture {
     pub made_ns: u64,
     /// Opaque RGBA.
     pub pixels: Option<Block>,
-    /// x, y, z as `f32`, mm.
+    /// x, y, z, mm, and confidence as `f32`.
     pub cloud: Option<Block>,
     /// Focal length px, baseline mm, reprojection error px; `None` for a number that is not known.
     pub rig: Option<[Option<f64>; 3]>,

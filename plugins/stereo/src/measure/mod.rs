@@ -58,7 +58,8 @@ pub struct In<'f> {
     depth: Option<Image<'f, Depth>>,
     /// Calibration of the rectified views; without it errors are unknown.
     calibration: Option<Value<'f, Calibration>>,
-    /// Confidence of the disparity that the surface comes from, as a filter gives it: errors grow where it is low. Without it all is trusted.
+    /// Confidence of the disparity that the surface comes from, as a filter gives it: errors grow where it is low. Without it all errors are stated
+    /// wide.
     confidence: Option<Image<'f, Confidence>>,
     /// State of the calibration, as a matcher gives it: above 0 it does not fit the views. Nothing is known then.
     drifted: Option<Value<'f, Scalar>>,
@@ -89,7 +90,7 @@ pub struct MeasureParams {
     /// Radius of the neighbourhood to which a surface is fitted at each point.
     #[param(default = 4, range = 1..=32, unit = "px")]
     radius_px: usize,
-    /// Standard deviation of a filtered disparity, in addition to the scatter around the point.
+    /// Standard deviation of a filtered disparity, added as a square to the scatter around the point: 0.35 where `scale` of the matcher halves the views.
     #[param(default = Noise::USUAL.disparity_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_noise_px: f64,
     /// Standard deviation of the calibration's disparity offset; its reprojection error is used when larger.
@@ -161,7 +162,7 @@ impl Measure {
                 .then_some(tip.xyz_mm)
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
             places.push(given.map_or(seen, |[x, y, z]| {
-                let (scatter, confidence) = seen.map_or((0.0, 1.0), |point| (point.scatter, point.confidence));
+                let (scatter, confidence) = seen.map_or((0.0, None), |point| (point.scatter, point.confidence));
                 Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter, confidence })
             }));
         }
@@ -182,7 +183,7 @@ impl Measure {
         for start in starts {
             self.rows.extend(self.given[start..start + size].iter().flatten());
             let mut points =
-                [SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN, confidence: 1.0 };
+                [SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN, confidence: None };
                     length::MAX_POINTS];
             for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
                 *point = place.unwrap_or(*point);
@@ -228,6 +229,12 @@ impl Node for Measure {
                 check.node_warning(
                     "neither `cloud` nor `depth` is connected: nothing is measured",
                     "connect one of them",
+                );
+            }
+            _ if is_connected("confidence") == Some(false) && is_connected("calibration") == Some(true) => {
+                check.node_warning(
+                    "`confidence` is not connected: all errors are stated wide",
+                    "connect the `confidence` of the filter that the surface comes from",
                 );
             }
             _ => {}

@@ -1,6 +1,7 @@
 //! The chains that are judged, on one pair.
 
 use panoscope_base::Silent;
+use panoscope_imaging::stereo::length::Noise;
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, ConfidenceParams, FilterInput,
     PairMatcher, PairParams, SearchParams, SemiGlobalMatcher, SemiGlobalParams, WlsFilter, WlsParams,
@@ -18,6 +19,8 @@ pub struct ChainOutput {
     pub disparity: Vec<f32>,
     /// Of the disparities, 0 to 1, where the chain gives it.
     pub confidence: Option<Vec<f32>>,
+    /// `disparity_noise_px` of a node `measure` behind the chain.
+    pub disparity_noise_px: f64,
 }
 
 /// All chains with the nodes' own settings, over disparities `first_px..first_px + search_px`.
@@ -111,7 +114,8 @@ fn chains(left: &Picture, right: &Picture, search: SearchParams, pool: &dyn Para
         ("sgbm_wls", sgbm_wls, Some(sgbm_trust)),
         ("depth", depth, Some(depth_trust)),
     ];
-    let output = |(chain, disparity, confidence)| ChainOutput { chain, disparity, confidence };
+    let disparity_noise_px = Noise::USUAL.disparity_px;
+    let output = |(chain, disparity, confidence)| ChainOutput { chain, disparity, confidence, disparity_noise_px };
     Ok(all.into_iter().map(output).collect())
 }
 

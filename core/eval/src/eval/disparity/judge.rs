@@ -62,7 +62,8 @@ impl Judge<'_> {
     pub fn own_graph(&self, left: &Picture, right: &Picture) -> Result<Option<ChainOutput>> {
         let Some(own) = &self.own else { return Ok(None) };
         let (disparity, confidence) = own.disparity(self.session, left, right)?;
-        Ok(Some(ChainOutput { chain: "graph", disparity, confidence }))
+        let disparity_noise_px = own.disparity_noise_px;
+        Ok(Some(ChainOutput { chain: "graph", disparity, confidence, disparity_noise_px }))
     }
 
     pub fn against(

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Catalog, GraphOptions, NodeType};
 use panoscope_host::loader::graph_file;
+use panoscope_imaging::stereo::length::Noise;
 use toml::{Table, Value};
 
 use super::data::Picture;
@@ -38,6 +39,8 @@ pub struct OwnGraph {
     disparity: (String, String),
     /// Port of the same node that gives its confidence.
     confidence: Option<String>,
+    /// Of its first node `measure`; the usual one without.
+    pub disparity_noise_px: f64,
     work: Folder,
     pairs: Cell<usize>,
 }
@@ -70,6 +73,7 @@ impl OwnGraph {
         let confidence =
             made_by.and_then(|made_by| made_by.outputs.iter().find(|port| port.packet.name == "confidence"));
         let confidence = confidence.map(|port| port.name.clone());
+        let disparity_noise_px = nodes.values().find_map(noise_of).unwrap_or(Noise::USUAL.disparity_px);
         let needed = upstream(nodes, &[&disparity], None);
         nodes.retain(|id, _| needed.contains(id));
         let sources: Vec<String> =
@@ -97,7 +101,8 @@ impl OwnGraph {
         }
         let work = Folder::new("panoscope-eval-disparity")?;
         let path = std::path::absolute(&request.path).unwrap_or_else(|_| request.path.clone());
-        Ok(Self { path, graph, source, disparity: (node, port), confidence, work, pairs: Cell::new(0) })
+        let disparity = (node, port);
+        Ok(Self { path, graph, source, disparity, confidence, disparity_noise_px, work, pairs: Cell::new(0) })
     }
 
     /// The graph's disparity of a rectified pair, in px of the left view, and its confidence where the same node gives one.
@@ -158,6 +163,13 @@ impl OwnGraph {
         let confidence = confidence.filter(|confidence| confidence.len() == disparity.len());
         Ok((disparity, confidence))
     }
+}
+
+/// Standard deviation of a disparity as a node `measure` has it, where it is not the usual one.
+fn noise_of(node: &Value) -> Option<f64> {
+    let is_measure = node.get("type")?.as_str()? == "measure";
+    let noise = node.get("params")?.get("disparity_noise_px").filter(|_| is_measure)?;
+    noise.as_float().or_else(|| noise.as_integer().map(|px| px as f64))
 }
 
 /// The type of a node of a graph.

@@ -9,6 +9,7 @@ use panoscope_base::random::SplitMix64;
 use panoscope_imaging::stereo::SurfacePoint;
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
 
+use super::chains::ChainOutput;
 use super::synthetic::{BASELINE_MM, FOCAL_PX, SyntheticView, centre};
 use crate::error::Result;
 use crate::plot::{self, Chart, Series, Style};
@@ -103,7 +104,7 @@ type Known = (SurfacePoint, [f64; 3]);
 
 impl Measurements {
     /// Measures what the points show.
-    fn add(&mut self, known: &[Known], rigs: &[Rig], measure: fn(&[[f64; 3]]) -> f64) {
+    fn add(&mut self, known: &[Known], rigs: &[Rig], noise: &Noise, measure: fn(&[[f64; 3]]) -> f64) {
         let truth: Vec<[f64; 3]> = known.iter().map(|(_, truth)| *truth).collect();
         let bounded = |rig: &Rig, noise: &Noise| {
             let points: Vec<SurfacePoint> = known.iter().map(|(point, _)| rig.sees(point)).collect();
@@ -112,9 +113,9 @@ impl Measurements {
             let true_mm = measure(&truth);
             Bounded { true_mm, error_mm: (found_mm - true_mm).abs(), bound_mm }
         };
-        let exact = Noise { offset_px: 0.0, baseline_mm: 0.0, focal_percent: 0.0, ..Noise::USUAL };
+        let exact = Noise { offset_px: 0.0, baseline_mm: 0.0, focal_percent: 0.0, ..*noise };
         self.matched.push(bounded(&Rig::EXACT, &exact));
-        self.whole.extend(rigs.iter().map(|rig| bounded(rig, &Noise::USUAL)));
+        self.whole.extend(rigs.iter().map(|rig| bounded(rig, noise)));
     }
 
     fn extend(&mut self, other: Self) {
@@ -125,18 +126,19 @@ impl Measurements {
 
 impl Stated {
     /// Measures on a map of the left view, with the confidence of its filter where there is one. `seed` gives the errors of the calibrations.
-    pub fn add(&mut self, left: &SyntheticView, found: &[f32], trust: Option<&[f32]>, seed: u64) {
+    pub fn add(&mut self, left: &SyntheticView, made: &ChainOutput, seed: u64) {
         let mut random = SplitMix64(seed);
         let rigs: Vec<Rig> = (0..CALIBRATIONS).map(|_| Rig::draw(&Noise::USUAL, &mut random)).collect();
-        let known = points(left, found, trust);
+        let known = points(left, &made.disparity, made.confidence.as_deref());
+        let noise = Noise { disparity_px: made.disparity_noise_px, ..Noise::USUAL };
         let columns = (POINTS_PX..left.size.0).step_by(POINTS_PX).len();
         for (index, point) in known.iter().enumerate() {
             let Some(point) = point else { continue };
-            self.depths.add(&[*point], &rigs, length::depth);
+            self.depths.add(&[*point], &rigs, &noise, length::depth);
             let is_inside = index % columns + LENGTH_STEPS.0 < columns;
             let end = known.get(index + LENGTH_STEPS.0 + LENGTH_STEPS.1 * columns).copied().flatten();
             if let Some(end) = end.filter(|_| is_inside) {
-                self.lengths.add(&[*point, end], &rigs, length::distance);
+                self.lengths.add(&[*point, end], &rigs, &noise, length::distance);
             }
         }
     }
@@ -249,4 +251,52 @@ fn points(left: &SyntheticView, found: &[f32], trust: Option<&[f32]>) -> Vec<Opt
     let columns = || (POINTS_PX..size.0).step_by(POINTS_PX);
     let positions = (POINTS_PX..size.1).step_by(POINTS_PX).flat_map(|y| columns().map(move |x| (x, y)));
     positions.map(|(x, y)| at(x, y)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use panoscope_base::Threads;
+
+    use super::super::chains;
+    use super::super::data::Picture;
+    use super::super::synthetic::{self, SyntheticPair};
+    use super::*;
+
+    /// What is stated of the depth preset on a pair of a condition, with or without its confidence.
+    fn stated(condition: &str, has_confidence: bool) -> Stated {
+        let pool = Threads::new(2);
+        let condition = synthetic::CONDITIONS.iter().find(|known| known.name == condition).expect("a condition");
+        let SyntheticPair([left, right]) = synthetic::render(condition, synthetic::HELD_OUT_SEEDS[0], &pool);
+        let (width, height) = left.size;
+        let views = [&left, &right].map(|view| Picture::new(width, height, view.bgr.clone()));
+        let made = chains::search(&views[0], &views[1], &pool).expect("chains");
+        let mut depth = made.into_iter().find(|made| made.chain == "depth").expect("a chain");
+        depth.confidence = depth.confidence.filter(|_| has_confidence);
+        let mut stated = Stated::default();
+        stated.add(&left, &depth, 1);
+        stated
+    }
+
+    /// Share of the depths within the bound of the match, percent, and the median bound by the median error.
+    fn of_match(stated: &Stated) -> (f64, f64) {
+        let all = &stated.depths.matched;
+        (within(all, 1.0), quantile(all, 0.5, |m| m.bound_mm) / quantile(all, 0.5, |m| m.error_mm))
+    }
+
+    #[test]
+    fn bounds_of_a_match_hold_and_are_near_its_error() {
+        for (condition, most) in [("thin", 6.0), ("faint", 6.5)] {
+            let (held, by_error) = of_match(&stated(condition, true));
+            assert!(held > 90.0 && by_error < most, "{condition}: {held} % held, {by_error} times the error");
+        }
+    }
+
+    #[test]
+    fn without_a_confidence_bounds_hold_and_are_wide() {
+        let (held, by_error) = of_match(&stated("smoke", false));
+        assert!(held > 90.0, "{held} % held");
+        let (_, trusted) = of_match(&stated("thin", true));
+        let (_, unknown) = of_match(&stated("thin", false));
+        assert!(unknown > 1.5 * trusted, "{unknown} times the error, {trusted} with the confidence; smoke {by_error}");
+    }
 }

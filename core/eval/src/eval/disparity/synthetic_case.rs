@@ -151,7 +151,7 @@ impl Judge<'_> {
                     all.len() - 1
                 });
                 all[index].1.add(&pair, &made.disparity);
-                all[index].2.add(left, &made.disparity, made.confidence.as_deref(), *seed);
+                all[index].2.add(left, &made, *seed);
             }
             if let Some(folder) = self.pictures {
                 picture::view(&folder.join(format!("{case}_{name}_{seed}_left.png")), size, &left.bgr)?;
