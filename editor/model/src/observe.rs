@@ -1,7 +1,8 @@
 //! Renders previews of the running graph for the window, at most five to ten times per second, and reads its counters twice per second. It
 //! runs on a thread of its own, so that the window's thread never waits.
 //!
-//! For each previewed output at most two frames are retained: the newest one, and the one being rendered.
+//! For each previewed output at most two frames are retained: the newest one, and the one being rendered. Of outputs that are compared or shown as
+//! a stereo pair a few more are, among which one tick of both is searched.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
