@@ -1,5 +1,7 @@
 //! Tests of the theatre on running graphs, by keys, taps and names of widgets.
 
+#[path = "theatre/lengths.rs"]
+mod lengths;
 #[path = "theatre/locks.rs"]
 mod locks;
 
@@ -365,48 +367,6 @@ fn distances_are_measured_by_two_taps() {
     assert!(!window.theatre().is_frozen());
     assert!(window.notices().iter().all(|w| !w.contains("stopped")), "{:?}", window.notices());
     assert_eq!(window.theatre().distance(), None);
-}
-
-#[test]
-fn lengths_have_the_confidence_of_their_disparities() {
-    if !has_plugin("phantom") || !has_plugin("stereo") {
-        return;
-    }
-    let matched = r#"plugins = ["phantom", "stereo"]
-[nodes.scope]
-type = "phantom"
-params = { scene = "bowel", width = 320, height = 240, speed_mm_s = 0.0, breathing_mm = 0.0 }
-[nodes.match]
-type = "stereo_bm"
-inputs = { left = "scope.left", right = "scope.right" }
-[nodes.wls]
-type = "disparity_wls"
-inputs = { image = "scope.left", disparity = "match.disparity", disparity_right = "match.disparity_right" }
-[nodes.points]
-type = "reproject"
-inputs = { image = "scope.left", disparity = "wls.disparity", calibration = "scope.calibration", confidence = "wls.confidence" }
-[preset]
-views = ["scope.left", "points.cloud"]
-"#;
-    // Where the surface is made without a confidence, nothing is known of it.
-    for (name, text, is_known) in [
-        ("confident", matched.to_owned(), true),
-        ("unknown_confidence", matched.replace(", confidence = \"wls.confidence\"", ""), false),
-    ] {
-        let mut window = Window::open(name, &text);
-        window.key(Key::M);
-        window.until_shown("Measure here");
-        let rect = window.harness.get_by_label("Measure here").rect();
-        for share in [0.6, 0.8] {
-            input::tap(&mut window.harness, rect.min + rect.size() * share);
-        }
-        window.until("a distance with its error", |t| t.distance().is_some());
-        let known = |t: &Theatre| {
-            let points = t.tapped().iter().filter_map(|point| point.position);
-            points.map(|point| point.confidence.is_some()).collect::<Vec<bool>>()
-        };
-        assert_eq!(known(window.theatre()), [is_known; 2], "{name}");
-    }
 }
 
 #[test]
