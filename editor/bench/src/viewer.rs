@@ -190,13 +190,7 @@ impl Viewer {
         let b = self.b.clone().filter(|b| shown.texture(&b.output).is_some());
         let image_rect = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
-            (None, _) => {
-                let (caption, font, color) = match shown.text(&a.output) {
-                    Some(text) => (text, FontId::monospace(16.0), theme::text()),
-                    None => (text!("viewer-nothing"), FontId::proportional(16.0), theme::muted()),
-                };
-                painter.text(room.center(), Align2::CENTER_CENTER, caption, font, color);
-            }
+            (None, _) => words(&painter, room.center(), shown.text(&a.output)),
             (Some((texture, size)), None) => {
                 let inner = fit(room, size);
                 picture(&painter, texture, inner, Color32::WHITE);
@@ -204,6 +198,8 @@ impl Viewer {
                     self.probing.follow(ui, &ground, inner);
                     self.probing.paint(ui, &painter, inner, probe);
                 }
+                // Another output that has sent nothing.
+                self.b.iter().for_each(|b| numbers(ui, rect, b, None));
             }
             (Some((texture, size)), Some(b)) => {
                 let inner = fit(room, size);
@@ -432,6 +428,15 @@ fn numbers(ui: &Ui, rect: Rect, b: &Source, comparison: Option<&Comparison>) {
     let response = ui.interact(label, Id::new("viewer-numbers"), Sense::hover());
     response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, &caption));
     response.on_hover_text(text!("viewer-numbers-about", output = b.output.to_string()));
+}
+
+/// Shows an output without a picture: what its packet says, or that there is none.
+fn words(painter: &Painter, at: Pos2, text: Option<&str>) {
+    let (caption, font, color) = match text {
+        Some(text) => (text, FontId::monospace(16.0), theme::text()),
+        None => (text!("viewer-nothing"), FontId::proportional(16.0), theme::muted()),
+    };
+    painter.text(at, Align2::CENTER_CENTER, caption, font, color);
 }
 
 fn picture(painter: &Painter, texture: TextureId, rect: Rect, tint: Color32) {

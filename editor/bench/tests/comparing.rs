@@ -57,6 +57,25 @@ fn two_branches_are_compared_side_by_side_and_in_numbers() {
 }
 
 #[test]
+fn a_comparison_with_an_output_that_sends_nothing_says_so() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("shut");
+    let shut = "\n[nodes.shut]\ntype = \"gate\"\ninputs = { image = \"b.image\" }\nparams = { open = false }\n";
+    let mut window = Window::run(&folder.write("g.toml", &format!("{GRAPH}{shut}")));
+    window.select("b");
+    window.key(NONE, Key::V);
+    window.until("a picture", |app| app.has_picture());
+    let until = std::time::Instant::now() + crate::common::PATIENCE;
+    while window.app().compared_with() != Some(&Output::new("shut", "image")) {
+        assert!(std::time::Instant::now() < until, "it is never compared with shut.image");
+        window.key(NONE, Key::C);
+    }
+    window.until_shown("no tick of both outputs yet");
+}
+
+#[test]
 fn a_value_is_plotted_over_another_and_its_spread_over_time() {
     if !has_plugin("flow") {
         return;
