@@ -332,6 +332,18 @@ fn fault_message(node: &str, fault: &Fault) -> Option<String> {
     })
 }
 
+/// Of the newest faults of a node the one that matters most: a full disk, else one with a message, else the newest. What a node says next, as that it lacks
+/// frames, must not hide why.
+fn gravest<'c>(counters: &'c Counters, node: &str) -> Option<&'c Fault> {
+    let newest = counters.faults.get(node)?;
+    let is_recent = |fault: &&Fault| {
+        fault.node == node && u128::from(newest.unix_ms.saturating_sub(fault.unix_ms)) < FAULT_SHOWN.as_millis()
+    };
+    let recent = || counters.fault_list.iter().rev().filter(is_recent);
+    let full = recent().find(|fault| is_full(&fault.words));
+    full.or_else(|| recent().find(|fault| fault_message(node, fault).is_some())).or(Some(newest))
+}
+
 impl Stages {
     /// Takes new counters; returns the messages about failed nodes, and the nodes that failed because the disk is full.
     pub fn update(&mut self, counters: &Counters, now: Instant) -> (Vec<String>, Vec<String>) {
@@ -349,8 +361,8 @@ impl Stages {
         nodes.sort();
         nodes.dedup();
         let (full, nodes): (Vec<String>, Vec<String>) =
-            nodes.into_iter().partition(|id| counters.faults.get(id).is_some_and(|fault| is_full(&fault.words)));
-        let message = |id: &String| match counters.faults.get(id) {
+            nodes.into_iter().partition(|id| gravest(counters, id).is_some_and(|fault| is_full(&fault.words)));
+        let message = |id: &String| match gravest(counters, id) {
             Some(fault) => fault_message(id, fault),
             None => Some(text!("alarm-stage", stage = id)),
         };
@@ -504,9 +516,15 @@ mod tests {
             ["Stage `match` is bypassed after a fault"]
         );
         let full = fault(Action::Restart, Cause::Error, "x.mkv: No space left on device (os error 28)");
-        counters.faults.insert("match".to_owned(), full);
+        counters.faults.insert("match".to_owned(), full.clone());
         counters.nodes.insert("match".to_owned(), NodeWindow { faults: 2, ..NodeWindow::default() });
-        let (messages, full) = stages.update(&counters, start + Duration::from_secs(10));
-        assert_eq!((messages.len(), full), (0, vec!["match".to_owned()]));
+        let (messages, stages_on_it) = stages.update(&counters, start + Duration::from_secs(10));
+        assert_eq!((messages.len(), stages_on_it), (0, vec!["match".to_owned()]));
+        // That it lacks frames comes of it, and does not hide it.
+        let lacks = Fault { unix_ms: 900, ..fault(Action::Note, Cause::Incomplete, "it lacks 3 frames") };
+        counters.fault_list = vec![full, lacks.clone()];
+        counters.faults.insert("match".to_owned(), lacks);
+        let (messages, stages_on_it) = stages.update(&counters, start + Duration::from_secs(11));
+        assert_eq!((messages.len(), stages_on_it), (0, vec!["match".to_owned()]));
     }
 }
