@@ -10,6 +10,7 @@ use panoscope_editor_model::texts::{decimal, text, with_decimal_sign};
 use panoscope_eval::sweep::can_sweep;
 
 use super::params;
+use super::prose::prose;
 use crate::actions::{self, Action};
 use crate::canvas::Canvas;
 use crate::probing;
@@ -161,7 +162,7 @@ fn title(ui: &mut Ui, this: &NodeView, is_python: bool, requests: &mut Vec<Inspe
         }
     });
     if let Some(line) = this.node_type.as_ref().and_then(|t| t.doc.lines().next()) {
-        super::overview::prose(ui, line, theme::text());
+        prose(ui, line, theme::text());
     }
     ui.add_space(theme::STEP);
 }

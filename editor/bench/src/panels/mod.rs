@@ -11,6 +11,7 @@ pub mod overview;
 pub mod params;
 pub mod plots;
 pub mod plugins;
+mod prose;
 pub mod source;
 pub mod states;
 pub mod sweep;
