@@ -317,10 +317,15 @@ pub struct Stages {
     at: HashMap<String, Instant>,
 }
 
+/// Whether a node works on as before: it was slow, or frames were dropped that a file lacks now.
+pub(super) fn is_harmless(fault: &Fault) -> bool {
+    fault.done == Action::Note && matches!(fault.cause, Cause::Slow | Cause::Leak | Cause::Size | Cause::Incomplete)
+}
+
 /// The message about a fault for the surgeon; `None` when it does not affect the images.
 fn fault_message(node: &str, fault: &Fault) -> Option<String> {
     Some(match fault.cause {
-        Cause::Slow | Cause::Leak | Cause::Size | Cause::Incomplete if fault.done == Action::Note => return None,
+        _ if is_harmless(fault) => return None,
         // The node works; the views show what is missing.
         Cause::TooOld => return None,
         Cause::Recording => text!("notice-recording-gaps", reason = &fault.words),
@@ -334,7 +339,7 @@ fn fault_message(node: &str, fault: &Fault) -> Option<String> {
 
 /// Of the newest faults of a node the one that matters most: a full disk, else one with a message, else the newest. What a node says next, as that it lacks
 /// frames, must not hide why.
-fn gravest<'c>(counters: &'c Counters, node: &str) -> Option<&'c Fault> {
+pub(super) fn gravest<'c>(counters: &'c Counters, node: &str) -> Option<&'c Fault> {
     let newest = counters.faults.get(node)?;
     let is_recent = |fault: &&Fault| {
         fault.node == node && u128::from(newest.unix_ms.saturating_sub(fault.unix_ms)) < FAULT_SHOWN.as_millis()

@@ -1,6 +1,6 @@
 //! Records stills and clips of the views.
 
-use super::notices::{FULL_BYTES, STOPPED};
+use super::notices::{FULL_BYTES, STOPPED, gravest, is_harmless};
 use super::storage::{self, Clip};
 use super::{Pane, Theatre, time};
 use panoscope_editor_model::disk::is_full;
@@ -120,7 +120,8 @@ impl Theatre {
         }
         let Some(clip) = &self.clip else { return };
         let name = clip.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let fault = counters.faults.get(&clip.node).map(|f| f.words.clone());
+        // A clip that lacks frames goes on.
+        let fault = gravest(counters, &clip.node).filter(|fault| !is_harmless(fault)).map(|fault| fault.words.clone());
         let refused = status.problem.as_ref().filter(|_| !status.busy && time::since(clip.since) > STOPPED);
         let full = self.storage.free_bytes().is_some_and(|free| free < FULL_BYTES);
         if let Some(problem) = refused {

@@ -1,5 +1,7 @@
 //! Tests of the theatre on running graphs, by keys, taps and names of widgets.
 
+#[path = "theatre/clips.rs"]
+mod clips;
 #[path = "theatre/lengths.rs"]
 mod lengths;
 #[path = "theatre/locks.rs"]
