@@ -14,7 +14,7 @@ use panoscope_cli::{End, allocations, beside, interrupt};
 #[derive(clap::Subcommand)]
 pub enum Bench {
     /// Hop from node to node: inline, between threads, paced; compared with GStreamer.
-    Hop(Arguments),
+    Hop(Hop),
     /// Checking and starting large graphs.
     Start(Arguments),
     /// Cost of a tick against the number of nodes.
@@ -46,6 +46,17 @@ pub struct Arguments {
     /// Fewer frames and rounds: a quick check, not a measurement.
     #[arg(long)]
     quick: bool,
+}
+
+/// Arguments of `bench hop`.
+#[derive(clap::Args)]
+#[group(skip)]
+pub struct Hop {
+    #[command(flatten)]
+    common: Arguments,
+    /// Measures another program in addition, which cargo builds first. It needs the package registry.
+    #[arg(long, value_name = "PROGRAM", value_parser = ["copper"])]
+    peer: Option<String>,
 }
 
 /// Arguments of `bench stereo`.
@@ -154,9 +165,9 @@ pub fn run(bench: &Bench) -> Result<End> {
 fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
     let session = &Terminal;
     Ok(match bench {
-        Bench::Hop(arguments) => {
+        Bench::Hop(Hop { common, peer }) => {
             interrupt::listen();
-            (bench::hop::measure(session, arguments.quick)?, arguments)
+            (bench::hop::measure(session, bench::hop::Options { quick: common.quick, copper: peer.is_some() })?, common)
         }
         Bench::Start(arguments) => (bench::start::measure(arguments.quick)?, arguments),
         Bench::Scale(arguments) => (bench::scale::measure(session, arguments.quick)?, arguments),

@@ -1,5 +1,6 @@
 //! Cost of passing a frame from node to node.
 
+use super::copper::{self, Copper};
 use super::death;
 use super::graph::{self, INPUT, Pace};
 use super::gstreamer::GStreamer;
@@ -58,13 +59,27 @@ impl Series {
     }
 }
 
-/// Measures all cases, alternating with GStreamer if it is installed.
-pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
+/// Options of [`measure`].
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Fewer frames and rounds: a quick check, not a measurement.
+    pub quick: bool,
+    /// Builds copper-rs and measures an inline chain of its tasks, too.
+    pub copper: bool,
+}
+
+/// Measures all cases, alternating with GStreamer if it is installed, and with copper-rs if it is asked for.
+///
+/// # Errors
+/// A graph does not run, or copper-rs was asked for and cannot be built.
+pub fn measure(session: &dyn Session, options: Options) -> Result<Vec<Figure>> {
+    let quick = options.quick;
+    let copper = options.copper.then(|| Copper::build(session, &INLINE)).transpose()?;
     let gst = GStreamer::open();
     if gst.is_none() {
         note!(session, "GStreamer is not installed: measured without a peer");
     }
-    let mut figures = inline(session, quick, gst.as_ref())?;
+    let mut figures = inline(session, quick, gst.as_ref(), copper.as_ref())?;
     figures.extend(saturated(session, quick, gst.as_ref())?);
     figures.extend(paced(session, quick, gst.as_ref())?);
     figures.extend(isolated(session, quick)?);
@@ -74,11 +89,12 @@ pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-fn inline(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result<Vec<Figure>> {
+fn inline(session: &dyn Session, quick: bool, gst: Option<&GStreamer>, copper: Option<&Copper>) -> Result<Vec<Figure>> {
     // Many short runs: the least of them is the one that nothing else disturbed.
     let (frames, rounds) = if quick { (3_000, 4) } else { (8_000, 15) };
     let mut wall = Series::new(&INLINE);
     let mut cpu = Series::new(&INLINE);
+    let mut compiled = Series::new(&INLINE);
     let mut allocations = Vec::new();
     for _ in 0..rounds {
         for (index, &length) in INLINE.iter().enumerate() {
@@ -89,6 +105,9 @@ fn inline(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result
             if let Some(gst) = gst {
                 wall.peer_min(index, gst.run(session, &vec![IDENTITY; length], frames, None)?.ns_per_frame);
             }
+            if let Some(copper) = copper {
+                compiled.peer_min(index, copper.ns_per_tick(length, frames)?);
+            }
         }
     }
     wall.points(session, "inline chain, time per tick");
@@ -97,7 +116,13 @@ fn inline(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result
     let mut figures = vec![
         Figure::new("hop_inline", wall.slope(), "ns", INPUT).beside(peer, wall.peer_slope()),
         Figure::new("hop_inline/processor_time", cpu.slope(), "ns", INPUT),
+        Figure::new("tick_inline", wall.ours[0], "ns", "640x480 bgr8, source, one node and sink"),
     ];
+    if let (Some(hop), [Some(tick), ..]) = (compiled.peer_slope(), &compiled.peer[..]) {
+        figures.push(Figure::new("hop_inline/copper", wall.slope(), "ns", INPUT).beside(copper::NAME, Some(hop)));
+        let input = "640x480 bgr8, source, one node and sink";
+        figures.push(Figure::new("tick_inline/copper", wall.ours[0], "ns", input).beside(copper::NAME, Some(*tick)));
+    }
     // The median: a worker that wakes for the first time late in a run sets up its thread-locals then.
     allocations.sort_by(f64::total_cmp);
     if let Some(&median) = allocations.get(allocations.len() / 2) {

@@ -1,5 +1,6 @@
 //! Benches of the runtime itself.
 
+mod copper;
 pub mod cost;
 mod death;
 mod dora;

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_engine::isolation::Pixels;
 use panoscope_engine::sync::lock;
-use panoscope_host::isolate::relay::{self, Bytes, Given, Link, LinkLane, LinkNumbers, kind};
+use panoscope_host::isolate::relay::{self, Bytes, Given, Link, LinkLane, LinkNumbers, Open, Request, kind};
 use panoscope_host::isolate::{EXIT_LINK, system_ns};
 use panoscope_host::loader::sealed::Fingerprint;
 use zenoh::bytes::ZBytes;
@@ -253,7 +253,7 @@ fn serve(arguments: &Arguments, link: &Link, session: &Session, host: &str) -> R
         group: arguments.machine.clone(),
         threads: settings.threads,
         memory_bytes: settings.memory_bytes,
-        deny: (settings.deny.network, settings.deny.new_files),
+        deny: settings.deny,
         pixels: arguments.pixels,
         timeout_ms: u32::try_from(arguments.timeout.as_millis()).unwrap_or(u32::MAX),
     };
@@ -459,20 +459,18 @@ impl Connection {
         let mut turn = Turn { lane, kind: asked, ..Turn::default() };
         let mut inputs = Vec::new();
         if asked == kind::PROCESS {
-            let request = relay::request(message)?;
-            if let Some((clock_ns, system_ns)) = request.clock {
-                *host_clock = Some(clock_ns.saturating_sub(system_ns));
-                let at = request.clock_position;
-                message[at..at + 8].copy_from_slice(&system_ns.saturating_add(offset_ns).to_le_bytes());
+            let mut request = Request::read(message)?;
+            if let Some(difference_ns) = request.move_clock(offset_ns) {
+                *host_clock = Some(difference_ns);
+                request.write(message);
             }
             // Before the lock: a pool that is still on its way is sent by another thread.
-            for (slot, input) in (0..).zip(request.inputs) {
+            for (slot, input) in (0..).zip(request.inputs()) {
                 inputs.push((slot, input, self.is_own(&input)?));
             }
         } else if asked == kind::OPEN {
-            let open = relay::open(message)?;
-            let hash = |path: String| Some(FileHash { sha256: self.hashes.of(path.as_ref())?, path });
-            turn.files = open.files.into_iter().filter_map(hash).collect();
+            let hash = |path: &str| Some(FileHash { sha256: self.hashes.of(path.as_ref())?, path: path.to_owned() });
+            turn.files = Open::read(message)?.files().filter_map(hash).collect();
         }
         turn.message = std::mem::take(message);
         let mut there = lock(&self.there);

@@ -9,9 +9,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use panoscope_engine::isolation::{Deny, Pixels};
+use panoscope_engine::isolation::Pixels;
 use panoscope_engine::sync::lock;
-use panoscope_host::isolate::relay::{self, Bytes, RelayError, Served, ServedLane, Settings, kind};
+use panoscope_host::isolate::relay::{self, Bytes, Open, RelayError, Request, Served, ServedLane, Settings, kind};
 use panoscope_host::isolate::system_ns;
 use panoscope_host::loader::sealed::SealedWriter;
 use panoscope_host::loader::{Loader, PluginFile, search_path};
@@ -80,8 +80,7 @@ fn serve(
         return Err(RemoteError::Version { host: version, own, machine: machine() });
     }
     h264::check(pixels).map_err(|cause| RemoteError::Pixels { cause, machine: machine() })?;
-    let (network, new_files) = deny;
-    let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny: Deny { network, new_files } };
+    let settings = Settings { threads: threads.clamp(1, 1024), memory_bytes, deny };
     let process = Served::start(&group, settings)?;
     let up = network::publisher(&shared.session, shared.key(host, id, "up"), false)?;
     let this = Arc::new(Group {
@@ -178,8 +177,8 @@ impl Group {
 
     /// Begins the lane of an instance with its first turn.
     fn begin(self: &Arc<Self>, process: &Served, turn: &Turn) -> Result<Sender<Turn>, RemoteError> {
-        let node = relay::open(&turn.message)?.node;
-        let lane = process.lane(&node).map_err(|_| ended(process))?;
+        let open = Open::read(&turn.message)?;
+        let lane = process.lane(open.node()).map_err(|_| ended(process))?;
         let (sender, turns) = channel();
         let (mine, id) = (Arc::clone(self), turn.lane);
         let work = move || {
@@ -235,14 +234,15 @@ impl Group {
         // The last request of the host, and the last question of the process, with the frame that it wants a copy of.
         let (mut request, mut asked, mut original) = (0, 0, None);
         while let Ok(turn) = turns.recv() {
-            if turn.kind != kind::ANSWER {
-                request = turn.kind;
+            let sent = turn.kind;
+            if sent != kind::ANSWER {
+                request = sent;
             }
-            let message = self.here(&turn, asked, original.take()).map_err(|error| match error {
+            let message = self.here(turn, asked, original.take()).map_err(|error| match error {
                 refused @ RemoteError::Files { .. } => refused,
                 bad => of_host(bad),
             })?;
-            asked = match lane.exchange(turn.kind, &message, &mut answer) {
+            asked = match lane.exchange(sent, &message, &mut answer) {
                 Ok(asked) => asked,
                 Err(RelayError::Gone) => return Err(RemoteError::ProcessEnded { reason: lane.death() }),
                 Err(RelayError::Bad) => return Err(RemoteError::BadProcess),
@@ -276,29 +276,30 @@ impl Group {
     }
 
     /// A message of the host, translated for the process here.
-    fn here(&self, turn: &Turn, asked: u32, original: Option<Bytes>) -> Result<Vec<u8>, RemoteError> {
-        let message = &turn.message;
+    fn here(&self, turn: Turn, asked: u32, original: Option<Bytes>) -> Result<Vec<u8>, RemoteError> {
+        let mut message = turn.message;
         let path = |path: &str| lock(&self.folders).here(path).display().to_string();
-        let graph_dir = self.shared.options.graph_dir.display().to_string();
         match turn.kind {
             kind::OPEN => {
-                let open = relay::open(message)?;
-                lock(&self.folders).add(Path::new(&open.graph_dir), &self.shared.options.graph_dir);
+                let mut open = Open::read(&message)?;
+                lock(&self.folders).add(Path::new(open.graph_dir()), &self.shared.options.graph_dir);
                 let folders = lock(&self.folders).clone();
                 files::compare(&turn.files, &folders, &self.shared.hashes, &self.shared.options.name)
-                    .map_err(|cause| RemoteError::Files { node: open.node.to_string(), cause: Box::new(cause) })?;
-                Ok(relay::with_paths(turn.kind, message, &graph_dir, path)?)
+                    .map_err(|cause| RemoteError::Files { node: open.node().to_owned(), cause: Box::new(cause) })?;
+                open.replace_paths(self.shared.options.graph_dir.display().to_string(), path)?;
+                open.write(&mut message);
             }
             kind::PROCESS => {
                 // The node makes new frames in these.
-                let reserved = relay::request(message)?.reserved;
+                let mut request = Request::read(&message)?;
                 let mut at_host = lock(&self.at_host);
-                reserved.iter().for_each(|buffer| _ = at_host.remove(buffer));
+                request.reserved().for_each(|buffer| _ = at_host.remove(&buffer));
                 drop(at_host);
-                Ok(relay::with_paths(turn.kind, message, &graph_dir, path)?)
+                request.replace_paths(path)?;
+                request.write(&mut message);
             }
             kind::ANSWER if asked == kind::ALLOC || asked == kind::MAKE_MUT => {
-                if let Some(made) = relay::answered(message)? {
+                if let Some(made) = relay::answered(&message)? {
                     lock(&self.at_host).remove(&(made.pool, made.offset));
                     if let Some(original) = original {
                         // The host copied it there; here the bytes are those that the node sees.
@@ -306,19 +307,17 @@ impl Group {
                         from.copy_to(&original, &to, made.offset)?;
                     }
                 }
-                Ok(message.clone())
             }
             kind::ANSWER if asked == kind::CLOCK => {
-                let mut message = message.clone();
                 if let Some(clock) = message.first_chunk_mut::<8>().filter(|_| turn.at_ns != 0) {
                     // It went on meanwhile.
                     let way_ns = system_ns().saturating_sub(turn.at_ns).max(0);
                     *clock = i64::from_le_bytes(*clock).saturating_add(way_ns).to_le_bytes();
                 }
-                Ok(message)
             }
-            _ => Ok(message.clone()),
+            _ => {}
         }
+        Ok(message)
     }
 
     /// The head of an output that the host lacks; the host then counts as having it.

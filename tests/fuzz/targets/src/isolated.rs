@@ -420,6 +420,10 @@ fn small(value: u8) -> Vec<u8> {
     vec![0, value]
 }
 
+fn flag(value: bool) -> Vec<u8> {
+    raw(&[u8::from(value)])
+}
+
 fn long(value: u8) -> Vec<u8> {
     vec![2, value]
 }
@@ -460,7 +464,7 @@ pub fn call_seeds() -> Vec<Vec<u8>> {
     let alloc = |script: Script| script.step(ALLOC, &description);
     let placed = [&[kind(PLACED)][..], &description].concat();
     let in_stock = [STOCK.to_vec(), len, format, width, height, stride, raw(&[0; 24])];
-    let forward = [kind(FORWARD), small(0), small(1), INPUT.to_vec()];
+    let forward = [kind(FORWARD), small(0), flag(true), INPUT.to_vec()];
     let retain = [kind(RETAIN), INPUT_BUFFER.to_vec()];
     let release = [kind(RELEASE), INPUT_BUFFER.to_vec()];
     let begin = || Script::default().done(&[]);
@@ -470,8 +474,8 @@ pub fn call_seeds() -> Vec<Vec<u8>> {
         Script::default().around(|s| s.made(&forward, &[INPUT.to_vec()])),
         (1..FRAMES).fold(alloc(begin()).made(&[], &[MADE.to_vec()]), |s, _| s.made(&placed, &in_stock)).done(&[]),
         Script::default().around(|s| {
-            s.step(FORWARD, &[small(0), small(1), INPUT.to_vec()])
-                .step(MAKE_MUT, &[small(0)])
+            s.step(FORWARD, &[small(0), flag(true), INPUT.to_vec()])
+                .step(MAKE_MUT, &[small(0), INPUT.to_vec()])
                 .made(&[], &[MADE.to_vec()])
         }),
         Script::default().around(|s| s.made(&[], &none)),
@@ -498,14 +502,14 @@ pub fn call_seeds() -> Vec<Vec<u8>> {
         // One that does not.
         Script::default().around(|s| s.made(&[&retain[..]; 10].concat(), &none)),
         Script::default().around(|s| s.made(&[&release[..]; 3].concat(), &none)),
-        begin().made(&[kind(FORWARD), small(0), small(1), small(9), long(0), longest(), raw(&[0; 40])], &none),
-        begin().made(&[kind(FORWARD), small(0), small(0), INPUT.to_vec()], &[INPUT.to_vec()]),
-        begin().made(&[&[kind(FORWARD), small(0), small(1)][..], &foreign()].concat(), &foreign()),
+        begin().made(&[kind(FORWARD), small(0), flag(true), small(9), long(0), longest(), raw(&[0; 40])], &none),
+        begin().made(&[kind(FORWARD), small(0), flag(false), INPUT.to_vec()], &[INPUT.to_vec()]),
+        begin().made(&[&[kind(FORWARD), small(0), flag(true)][..], &foreign()].concat(), &foreign()),
         begin().made(&[kind(PLACED), small(0), small(1), small(255), small(255), small(255), longest()], &none),
         begin().made(&[kind(COPIED), small(0)], &none),
         begin().made(&[], &[INPUT.to_vec()]),
         begin().step(ALLOC, &[small(0), small(1), small(255), small(255), small(255), longest()]).made(&[], &none),
-        begin().step(MAKE_MUT, &[small(200)]).step(ALLOC, &[small(7)]),
+        begin().step(MAKE_MUT, &[small(200), raw(&[0; 60])]).step(ALLOC, &[small(7)]),
         begin().step(FAIL, &[text(b"it failed")]).step(DONE, &[vec![1, 0xff, 0xff, 0xff, 0xff]]),
         begin().step(SAVE, &[text(b"state")]).made(&[], &none),
         begin().step(CLAIM_FILE, &[small(200), text(b"\xff")]).step(LOG, &[longest(), text(b"\x1b[31m")]),

@@ -1,6 +1,6 @@
 //! Messages between a host and another machine.
 
-use panoscope_engine::isolation::Pixels;
+use panoscope_engine::isolation::{Deny, Pixels};
 use panoscope_host::isolate::relay::messages::{
     Coding, FileHash, FrameHead, MAX_FRAME_BYTES, Message, Picture, Turn, read, write,
 };
@@ -29,7 +29,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         group: "rack".to_owned(),
         threads: 2,
         memory_bytes: 1 << 32,
-        deny: (false, true),
+        deny: Deny { network: false, new_files: true },
         pixels: Pixels::H264,
         timeout_ms: 1000,
     };

@@ -8,7 +8,7 @@ use std::ffi::c_void;
 
 use panoscope_abi::{self as abi, Host, NodeType, Param, Port, Status, Str};
 
-use crate::isolate::wire::{BadMessage, Reader, Writer};
+use crate::isolate::wire::{BadMessage, Reader, Wire, put_bytes};
 
 const HAS_SAVE: u32 = 1;
 const HAS_LOAD: u32 = 2;
@@ -24,25 +24,25 @@ const TYPE_BYTES: usize = 60;
 ///
 /// # Safety
 /// They are validated descriptors of a plugin that stays mapped.
-pub(crate) unsafe fn write(node_types: &[&NodeType], out: &mut Writer<'_>) {
-    out.u64(node_types.len() as u64);
+pub(crate) unsafe fn write(node_types: &[&NodeType], out: &mut Vec<u8>) {
+    (node_types.len() as u64).put(out);
     for node_type in node_types {
         let has = |there: bool, bit: u32| if there { bit } else { 0 };
         let functions = has(node_type.save_state.is_some(), HAS_SAVE)
             | has(node_type.load_state.is_some(), HAS_LOAD)
             | has(node_type.validate.is_some(), HAS_VALIDATE)
             | has(node_type.finish_function().is_some(), HAS_FINISH);
-        out.u32(node_type.kind).u32(node_type.flags).u32(functions);
+        [node_type.kind, node_type.flags, functions].iter().for_each(|number| number.put(out));
         // SAFETY: the caller's promise, for everything that the descriptor points to.
         unsafe {
             for text in [node_type.name, node_type.family, node_type.doc] {
-                out.bytes(text.bytes());
+                put_bytes(text.bytes(), out);
             }
             for (ports, len) in [(node_type.inputs, node_type.inputs_len), (node_type.outputs, node_type.outputs_len)] {
-                out.u64(len as u64);
+                (len as u64).put(out);
                 slice(ports, len).iter().for_each(|port| write_port(port, out));
             }
-            out.u64(node_type.params_len as u64);
+            (node_type.params_len as u64).put(out);
             slice(node_type.params, node_type.params_len).iter().for_each(|param| write_param(param, out));
         }
     }
@@ -53,27 +53,28 @@ unsafe fn slice<'a, T>(first: *const T, len: usize) -> &'a [T] {
     if len == 0 { &[] } else { unsafe { std::slice::from_raw_parts(first, len) } }
 }
 
-unsafe fn write_port(port: &Port, out: &mut Writer<'_>) {
+unsafe fn write_port(port: &Port, out: &mut Vec<u8>) {
     for text in [port.name, port.doc, port.packet] {
         // SAFETY: the caller's promise.
-        out.bytes(unsafe { text.bytes() });
+        put_bytes(unsafe { text.bytes() }, out);
     }
-    out.u64(port.layout_hash).u32(port.formats).u32(port.flags);
+    port.layout_hash.put(out);
+    [port.formats, port.flags].iter().for_each(|number| number.put(out));
 }
 
-unsafe fn write_param(param: &Param, out: &mut Writer<'_>) {
+unsafe fn write_param(param: &Param, out: &mut Vec<u8>) {
     // SAFETY: the caller's promise.
     unsafe {
         for text in [param.name, param.doc, param.unit] {
-            out.bytes(text.bytes());
+            put_bytes(text.bytes(), out);
         }
-        out.u32(param.kind).u32(param.flags);
-        out.f64(param.default_number).f64(param.min).f64(param.max).f64(param.step);
-        out.bytes(param.default_text.bytes());
-        out.u64(param.choices_len as u64);
-        slice(param.choices, param.choices_len).iter().for_each(|choice| _ = out.bytes(choice.bytes()));
-        out.u64(param.default_floats_len as u64);
-        slice(param.default_floats, param.default_floats_len).iter().for_each(|value| _ = out.f64(*value));
+        [param.kind, param.flags].iter().for_each(|number| number.put(out));
+        [param.default_number, param.min, param.max, param.step].iter().for_each(|number| number.put(out));
+        put_bytes(param.default_text.bytes(), out);
+        (param.choices_len as u64).put(out);
+        slice(param.choices, param.choices_len).iter().for_each(|choice| put_bytes(choice.bytes(), out));
+        (param.default_floats_len as u64).put(out);
+        f64::put_all(slice(param.default_floats, param.default_floats_len), out);
     }
 }
 
@@ -130,7 +131,7 @@ fn list<T: 'static>(
 }
 
 fn read_type(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<NodeType, BadMessage> {
-    let (kind, flags, functions) = (reader.u32()?, reader.u32()?, reader.u32()?);
+    let (kind, flags, functions) = (reader.take()?, reader.take()?, reader.take::<u32>()?);
     let has = |bit: u32| functions & bit != 0;
     let (name, family, doc) = (text(reader, memory)?, text(reader, memory)?, text(reader, memory)?);
     let (inputs, inputs_len) = list(reader, memory, PORT_BYTES, read_port)?;
@@ -162,16 +163,16 @@ fn read_type(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<NodeType, B
 
 fn read_port(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<Port, BadMessage> {
     let (name, doc, packet) = (text(reader, memory)?, text(reader, memory)?, text(reader, memory)?);
-    Ok(Port { name, doc, packet, layout_hash: reader.u64()?, formats: reader.u32()?, flags: reader.u32()? })
+    Ok(Port { name, doc, packet, layout_hash: reader.take()?, formats: reader.take()?, flags: reader.take()? })
 }
 
 fn read_param(reader: &mut Reader<'_>, memory: &mut Memory) -> Result<Param, BadMessage> {
     let (name, doc, unit) = (text(reader, memory)?, text(reader, memory)?, text(reader, memory)?);
-    let (kind, flags) = (reader.u32()?, reader.u32()?);
-    let (default_number, min, max, step) = (reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?);
+    let (kind, flags) = (reader.take()?, reader.take()?);
+    let (default_number, min, max, step) = (reader.take()?, reader.take()?, reader.take()?, reader.take()?);
     let default_text = text(reader, memory)?;
     let (choices, choices_len) = list(reader, memory, 8, text)?;
-    let (default_floats, default_floats_len) = list(reader, memory, 8, |reader, _| reader.f64())?;
+    let (default_floats, default_floats_len) = list(reader, memory, 8, |reader, _| reader.take())?;
     Ok(Param {
         name,
         doc,
@@ -291,11 +292,11 @@ mod tests {
         let node_type = described();
         let (mut first, mut second) = (Vec::new(), Vec::new());
         // SAFETY: a descriptor whose parts live until the process ends.
-        unsafe { write(&[&node_type], &mut Writer(&mut first)) };
+        unsafe { write(&[&node_type], &mut first) };
         let read = read(&first).expect("what was written");
         let copy = &read.node_types[0];
         // SAFETY: `read` holds what the copy points to.
-        unsafe { write(&[copy], &mut Writer(&mut second)) };
+        unsafe { write(&[copy], &mut second) };
         assert_eq!(first, second);
         assert!(copy.save_state.is_some() && copy.validate.is_some());
         assert!(copy.load_state.is_none() && copy.finish.is_none());
@@ -306,14 +307,12 @@ mod tests {
         let node_type = described();
         let mut whole = Vec::new();
         // SAFETY: a descriptor whose parts live until the process ends.
-        unsafe { write(&[&node_type], &mut Writer(&mut whole)) };
+        unsafe { write(&[&node_type], &mut whole) };
         for len in 0..whole.len() {
             assert!(read(&whole[..len]).is_err(), "{len} of {} bytes", whole.len());
         }
         whole.push(0);
         assert!(read(&whole).is_err());
-        let mut endless = Vec::new();
-        Writer(&mut endless).u64(u64::MAX / 2);
-        assert!(read(&endless).is_err(), "a count beyond the bytes");
+        assert!(read(&(u64::MAX / 2).to_le_bytes()).is_err(), "a count beyond the bytes");
     }
 }

@@ -9,7 +9,8 @@ use std::sync::LazyLock;
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::time::Instant;
 
-use crate::isolate::wire::{BadMessage, Kind};
+use crate::isolate::wire::BadMessage;
+use crate::isolate::wire::lane::Kind;
 
 /// The host may write.
 const HOST: u32 = 1;

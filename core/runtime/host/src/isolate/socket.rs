@@ -9,26 +9,6 @@ const MAX_BYTES: usize = 8192;
 /// Room for one file descriptor as ancillary data, aligned as the system requires.
 type Control = [u64; 4];
 
-/// Kind of a message from the host.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u32)]
-pub(crate) enum Tag {
-    /// First message: protocol, threads, maximum memory in bytes.
-    Hello = 1,
-    /// A pool: number, length, whether the child writes it; with the file.
-    Pool,
-    /// A lane; with the file.
-    Lane,
-    /// A plugin: number and path; with the file.
-    Plugin,
-}
-
-impl Tag {
-    pub fn of(number: u32) -> Option<Self> {
-        [Self::Hello, Self::Pool, Self::Lane, Self::Plugin].into_iter().find(|tag| *tag as u32 == number)
-    }
-}
-
 /// Two connected sockets, closed when another program is started.
 pub(crate) fn pair() -> io::Result<(OwnedFd, OwnedFd)> {
     let mut fds = [0; 2];

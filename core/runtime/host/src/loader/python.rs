@@ -83,8 +83,8 @@ pub fn module(name: &str) -> Result<Command, NoPython> {
     Ok(command)
 }
 
-/// The user's cache folder.
-fn cache_folder() -> Option<PathBuf> {
+/// The user's cache folder: `XDG_CACHE_HOME`, or `.cache` in the home folder. `None` without either.
+pub fn cache_folder() -> Option<PathBuf> {
     let variable = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|folder| folder.is_absolute());
     variable("XDG_CACHE_HOME").or_else(|| Some(variable("HOME")?.join(".cache")))
 }

@@ -4,13 +4,14 @@ use std::cell::Cell;
 use std::ffi::c_void;
 use std::time::{Duration, Instant};
 
-use panoscope_abi::{self as abi, Frame, NodeType, PortRange, Status, Str};
+use panoscope_abi::{self as abi, Frame, NodeType, Status, Str};
 use panoscope_engine::isolation::STATUS_DIED;
 
 use super::table::{self, CallFrame, ChildLane};
 use super::{Child, EXIT_PROTOCOL, describe, leave, pools};
 use crate::isolate::lane::{Lost, Side};
-use crate::isolate::wire::{BadMessage, Kind, Params, Reader, Writer};
+use crate::isolate::wire::lane::{Kind, Open, TickDone, TickRequest};
+use crate::isolate::wire::{BadMessage, Params, Reader, Wire, whole};
 
 /// Maximum wait of a describing process for the next question.
 const MAX_IDLE: Duration = Duration::from_secs(10);
@@ -37,16 +38,14 @@ struct Instance<'c> {
     host: abi::Host,
     node: String,
     params: Params,
+    /// The values as the plugin takes them; they point into `params`.
+    lent: Vec<abi::ParamValue>,
     state: Vec<u8>,
-    inputs: Vec<Frame>,
-    ranges: Vec<PortRange>,
-    outputs: Vec<Frame>,
+    /// The last request, whose frames have their addresses here, and its result.
+    tick: TickRequest,
+    done: TickDone,
     /// Formats of each output, one bit each.
     formats: Vec<u32>,
-    /// Position of a source after the last call; empty for none.
-    position: Vec<u8>,
-    /// The tick of the last call as changed by the node.
-    made_at: abi::Tick,
 }
 
 /// Serves the requests of a lane until its instance is closed.
@@ -60,13 +59,11 @@ pub(super) fn serve(child: &Child, lane: &ChildLane) {
         host: abi::Host { ..*child.host },
         node: String::new(),
         params: Params::default(),
+        lent: Vec::new(),
         state: Vec::new(),
-        inputs: Vec::new(),
-        ranges: Vec::new(),
-        outputs: Vec::new(),
+        tick: TickRequest::default(),
+        done: TickDone::default(),
         formats: Vec::new(),
-        position: Vec::new(),
-        made_at: abi::Tick::default(),
     };
     let (mut message, mut out) = (Vec::new(), Vec::new());
     // A process that only describes plugins leaves when it is not needed for a while.
@@ -79,10 +76,9 @@ pub(super) fn serve(child: &Child, lane: &ChildLane) {
         };
         if let Kind::Describe | Kind::Validate = kind {
             lane.begin(&mut out);
-            let mut reader = Reader(&message);
             let done = table::within(lane, || match kind {
-                Kind::Describe => describe::describe(child, &mut reader, &mut out),
-                _ => describe::validate(child, &mut reader, &mut out),
+                Kind::Describe => describe::describe(child, &message, &mut out),
+                _ => describe::validate(child, &message, &mut out),
             });
             if done.is_err() {
                 leave(EXIT_PROTOCOL);
@@ -95,9 +91,9 @@ pub(super) fn serve(child: &Child, lane: &ChildLane) {
         let Ok(status) = served else { leave(EXIT_PROTOCOL) };
         lane.begin(&mut out);
         // A plugin's own status of this number would be taken for the end of the process.
-        Writer(&mut out).i32(if status == STATUS_DIED { abi::STATUS_ERROR } else { status });
+        (if status == STATUS_DIED { abi::STATUS_ERROR } else { status }).put(&mut out);
         if kind == Kind::Process {
-            this.write_outputs(&mut out);
+            this.done.put(&mut out);
         }
         let is_over = kind == Kind::Close || this.node_type.is_none();
         lane.lane.post(Side::Child, Kind::Done, &out);
@@ -109,14 +105,13 @@ pub(super) fn serve(child: &Child, lane: &ChildLane) {
 
 impl<'c> Instance<'c> {
     fn request(&mut self, kind: Kind, message: &[u8]) -> Result<Status, BadMessage> {
-        let mut reader = Reader(message);
         if kind == Kind::Open {
-            return self.open(&mut reader);
+            return self.open(whole(message)?);
         }
         let node_type = self.node_type.ok_or(BadMessage)?;
         let (raw, host) = (self.raw, &raw const self.host);
         Ok(match kind {
-            Kind::Process => return self.process(node_type, &mut reader),
+            Kind::Process => return self.process(node_type, &mut Reader(message)),
             Kind::Close => {
                 if let Some(close) = node_type.close {
                     // SAFETY: opened by `open` and closed once.
@@ -131,7 +126,7 @@ impl<'c> Instance<'c> {
                 status
             }
             Kind::LoadPart => {
-                self.state.extend_from_slice(reader.bytes()?);
+                self.state.extend_from_slice(Reader(message).bytes()?);
                 abi::STATUS_OK
             }
             Kind::LoadState => {
@@ -169,13 +164,10 @@ impl<'c> Instance<'c> {
         }
     }
 
-    fn open(&mut self, reader: &mut Reader<'_>) -> Result<Status, BadMessage> {
-        let (plugin, index, flags, threads) = (reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?);
-        let outputs_read = reader.u64()?;
-        self.node = reader.text()?.to_owned();
-        let graph_dir = reader.text()?;
-        self.params = reader.params()?;
-        self.host.threads = threads;
+    fn open(&mut self, request: Open) -> Result<Status, BadMessage> {
+        let Open { plugin, index, flags, threads, outputs_read, node, graph_dir, params, .. } = request;
+        (self.node, self.host.threads) = (node, threads);
+        self.set_params(params);
         let found = self.child.node_type(plugin, index);
         let node_type = match found {
             Ok(node_type) => node_type,
@@ -196,9 +188,9 @@ impl<'c> Instance<'c> {
             host: &raw const self.host,
             call: (&raw mut call).cast(),
             node_id: Str::borrow(&self.node),
-            params: self.params.values.as_ptr(),
-            params_len: self.params.values.len(),
-            graph_dir: Str::borrow(graph_dir),
+            params: self.lent.as_ptr(),
+            params_len: self.lent.len(),
+            graph_dir: Str::borrow(&graph_dir),
             outputs_read,
         };
         let mut raw = std::ptr::null_mut();
@@ -218,76 +210,67 @@ impl<'c> Instance<'c> {
         Ok(status)
     }
 
+    fn set_params(&mut self, params: Params) {
+        self.params = params;
+        self.lent = self.params.lent();
+    }
+
     fn process(&mut self, node_type: &NodeType, reader: &mut Reader<'_>) -> Result<Status, BadMessage> {
-        let (flags, tick) = (reader.u32()?, reader.tick()?);
-        let (outputs_read, params_version) = (reader.u64()?, reader.u64()?);
-        if reader.u32()? == 1 {
-            self.params = reader.params()?;
+        self.tick.refill(reader)?;
+        if let Some(params) = self.tick.params.take() {
+            self.set_params(params);
         }
-        self.ranges.clear();
-        for _ in 0..reader.count(8)? {
-            self.ranges.push(PortRange { first: reader.u32()?, count: reader.u32()? });
-        }
-        self.inputs.clear();
-        for _ in 0..reader.count(1)? {
-            let frame = reader.frame()?;
-            let data = if frame.is_empty() { std::ptr::null_mut() } else { pools::resolve(frame.buffer) };
-            if data.is_null() && !frame.is_empty() {
+        for frame in self.tick.inputs.iter_mut().filter(|frame| !frame.is_empty()) {
+            frame.data = pools::resolve(frame.buffer);
+            if frame.data.is_null() {
                 return Err(BadMessage);
             }
-            self.inputs.push(Frame { data, ..frame });
         }
-        let outputs_len = usize::try_from(reader.u64()?).map_err(|_| BadMessage)?;
-        if outputs_len != self.formats.len() {
+        let outputs_len = self.formats.len();
+        if self.tick.stock.len() != outputs_len {
             return Err(BadMessage);
         }
-        self.lane.receive_sent(outputs_len, reader)?;
-        self.outputs.clear();
-        self.outputs.resize(outputs_len, Frame::EMPTY);
-        let outputs = self.outputs.as_mut_ptr();
+        self.lane.receive_sent(&mut self.tick);
+        let TickRequest { flags, tick, outputs_read, params_version, inputs, ranges, .. } = &self.tick;
+        self.done.outputs.clear();
+        self.done.outputs.resize(outputs_len, Frame::EMPTY);
+        let outputs = self.done.outputs.as_mut_ptr();
         let node = std::mem::take(&mut self.node);
         let (lane, formats, file) = (self.lane, &self.formats[..], String::new());
-        let mut frame = CallFrame { lane, node, tick, outputs, outputs_len, formats, random: None, file };
+        let mut frame = CallFrame { lane, node, tick: *tick, outputs, outputs_len, formats, random: None, file };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,
-            flags,
+            flags: *flags,
             host: &raw const self.host,
             call: (&raw mut frame).cast(),
-            tick,
-            inputs: self.inputs.as_ptr(),
-            inputs_len: self.inputs.len(),
-            input_ranges: self.ranges.as_ptr(),
-            input_ranges_len: self.ranges.len(),
+            tick: *tick,
+            inputs: inputs.as_ptr(),
+            inputs_len: inputs.len(),
+            input_ranges: ranges.as_ptr(),
+            input_ranges_len: ranges.len(),
             outputs,
             outputs_len,
-            params: self.params.values.as_ptr(),
-            params_len: self.params.values.len(),
-            params_version,
-            outputs_read,
+            params: self.lent.as_ptr(),
+            params_len: self.lent.len(),
+            params_version: *params_version,
+            outputs_read: *outputs_read,
         };
         let status = match node_type.process {
             // SAFETY: the plugin contract: an open instance that only this thread uses, and a call whose parts outlive it.
             Some(process) => unsafe { process(self.raw, &raw mut call) },
             None => abi::STATUS_INVALID,
         };
-        self.made_at = call.tick;
+        self.done.tick = call.tick;
         self.node = frame.node;
-        self.position.clear();
+        let position = &mut self.done.position;
+        position.clear();
         if node_type.flags & abi::NODE_SOURCE != 0 && status == abi::STATUS_OK {
             // If the process dies, the next instance goes on here.
-            let saved = table::save_state(node_type, self.raw, &self.host, &mut self.position);
-            if saved != abi::STATUS_OK || self.position.len() > MAX_POSITION_BYTES {
-                self.position.clear();
+            let saved = table::save_state(node_type, self.raw, &self.host, position);
+            if saved != abi::STATUS_OK || position.len() > MAX_POSITION_BYTES {
+                position.clear();
             }
         }
         Ok(status)
-    }
-
-    /// Writes the tick and the outputs as changed by the node, and the position of a source.
-    fn write_outputs(&self, out: &mut Vec<u8>) {
-        let mut out = Writer(out);
-        out.tick(&self.made_at).u64(self.outputs.len() as u64);
-        self.outputs.iter().for_each(|frame| _ = out.frame(frame));
-        out.bytes(&self.position);
     }
 }

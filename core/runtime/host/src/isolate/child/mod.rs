@@ -8,26 +8,26 @@ mod pools;
 mod table;
 
 use std::collections::HashMap;
-use std::ffi::OsStr;
+use std::ffi::OsString;
 use std::fs::File;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
-use std::os::unix::ffi::OsStrExt;
+use std::os::unix::ffi::OsStringExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use panoscope_abi::{Host, NodeType};
-use panoscope_engine::isolation::Deny;
 use panoscope_engine::loading;
 use panoscope_engine::pool::{Pool, Task};
 
 pub use self::instance::opening;
 use self::table::ChildLane;
+use crate::isolate::EXIT_CONFINED;
 use crate::isolate::confine::confine;
 use crate::isolate::lane::Lane;
-use crate::isolate::socket::{self, Tag};
-use crate::isolate::wire::{BadMessage, Reader};
-use crate::isolate::{EXIT_CONFINED, PROTOCOL};
+use crate::isolate::socket;
+use crate::isolate::wire::lane::{Settings, ToChild, hello};
+use crate::isolate::wire::{BadMessage, whole};
 
 /// A plugin cannot be loaded in the process of a group.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -163,18 +163,7 @@ fn start(load: LoadFn) -> std::io::Result<(Arc<Child>, OwnedFd)> {
         OwnedFd::from_raw_fd(socket)
     };
     let (message, _) = socket::receive(socket.as_fd())?;
-    let mut reader = Reader(&message);
-    let mut hello = || {
-        let (tag, protocol, threads) = (reader.u32()?, reader.u32()?, reader.u32()?);
-        if tag != Tag::Hello as u32 || protocol != PROTOCOL {
-            return Err(BadMessage);
-        }
-        let memory_bytes = reader.u64()?;
-        let deny = Deny { network: reader.u32()? == 1, new_files: reader.u32()? == 1 };
-        Ok((threads, memory_bytes, deny))
-    };
-    let (threads, memory_bytes, deny) =
-        hello().map_err(|_| std::io::Error::other("the programs have different versions; install both again"))?;
+    let Settings { threads, memory_bytes, deny } = hello(&message)?;
     let limit = |resource, most: u64| {
         let limit = libc::rlimit { rlim_cur: most, rlim_max: most };
         // SAFETY: only reads the struct. Where a limit cannot be set, the system's own holds.
@@ -205,21 +194,18 @@ fn run(child: &Arc<Child>, socket: &OwnedFd) -> Result<(), BadMessage> {
         if message.is_empty() {
             return Ok(());
         }
-        let mut reader = Reader(&message);
-        let (tag, file) = (Tag::of(reader.u32()?), File::from(file.ok_or(BadMessage)?));
-        match tag.ok_or(BadMessage)? {
-            Tag::Hello => return Err(BadMessage),
-            Tag::Pool => {
-                let (number, len, writable) = (reader.u32()?, reader.u64()? as usize, reader.u32()? == 1);
-                pools::map(number, len, writable, &file).map_err(|_| BadMessage)?;
+        let (message, file) = (whole(&message)?, File::from(file.ok_or(BadMessage)?));
+        match message {
+            ToChild::Hello { .. } => return Err(BadMessage),
+            ToChild::Pool { number, len, is_own } => {
+                pools::map(number, len as usize, is_own, &file).map_err(|_| BadMessage)?;
             }
-            Tag::Plugin => {
-                let (id, path) = (reader.u32()?, PathBuf::from(OsStr::from_bytes(reader.bytes()?)));
-                let plugin = Plugin { image: file, file: path, loaded: None };
+            ToChild::Plugin { id, path } => {
+                let plugin = Plugin { image: file, file: PathBuf::from(OsString::from_vec(path)), loaded: None };
                 child.plugins.lock().unwrap_or_else(PoisonError::into_inner).insert(id, plugin);
                 child.arrived.notify_all();
             }
-            Tag::Lane => {
+            ToChild::Lane => {
                 let lane = ChildLane::new(Lane::map(&file).map_err(|_| BadMessage)?);
                 let mine = Arc::clone(child);
                 let work = move || instance::serve(&mine, &lane);

@@ -14,7 +14,8 @@ use panoscope_engine::{pool, random_seed};
 
 use super::pools;
 use crate::isolate::lane::{Lane, Side};
-use crate::isolate::wire::{BadMessage, Kind, MAX_TEXT_BYTES, Reader, Writer};
+use crate::isolate::wire::lane::{Age, Clock, CopyWanted, Forwarded, Kind, Made, Reserved, TickRequest, Wanted};
+use crate::isolate::wire::{MAX_TEXT_BYTES, Reader, Wire, put_bytes};
 
 /// Maximum number of bytes of a saved state in one message.
 const STATE_PART_BYTES: usize = 512 << 10;
@@ -40,31 +41,11 @@ struct Buffers {
 
 /// Data that the host sent with a call because the node is likely to ask for it.
 #[derive(Default)]
-pub(super) struct Sent {
-    /// A buffer and its size for each output; size 0 for none.
-    pub stock: Vec<(BufferId, usize)>,
-    /// The host's clock, and the system's at that moment.
-    pub clock: Option<(i64, i64)>,
-    /// Input, its arrival and its age.
-    pub ages: Vec<(u32, i64, i64)>,
-}
-
-impl Sent {
-    /// Decodes it from the request of a tick.
-    pub fn read(&mut self, outputs_len: usize, reader: &mut Reader<'_>) -> Result<(), BadMessage> {
-        self.stock.clear();
-        for _ in 0..outputs_len {
-            let (buffer, size) = (reader.buffer()?, reader.u64()?);
-            self.stock.push((buffer, usize::try_from(size).map_err(|_| BadMessage)?));
-        }
-        let (knows_clock, clock) = (reader.u32()? == 1, (reader.i64()?, reader.i64()?));
-        self.clock = knows_clock.then_some(clock);
-        self.ages.clear();
-        for _ in 0..reader.count(20)? {
-            self.ages.push((reader.u32()?, reader.i64()?, reader.i64()?));
-        }
-        Ok(())
-    }
+struct Sent {
+    /// For each output. A buffer that was taken has length 0.
+    stock: Vec<Reserved>,
+    clock: Option<Clock>,
+    ages: Vec<Age>,
 }
 
 /// The target of a `call` handle.
@@ -116,13 +97,13 @@ impl ChildLane {
     }
 
     /// Lets the host run a function; `read` decodes its result.
-    fn ask<R>(&self, kind: Kind, write: impl FnOnce(&mut Writer<'_>), read: impl FnOnce(&mut Reader<'_>) -> R) -> R {
+    fn ask<R>(&self, kind: Kind, write: impl FnOnce(&mut Vec<u8>), read: impl FnOnce(&mut Reader<'_>) -> R) -> R {
         let mut buffers = lock(&self.buffers);
         let Buffers { out, message, deferred, .. } = &mut *buffers;
         out.clear();
-        Writer(out).bytes(deferred);
+        put_bytes(deferred, out);
         deferred.clear();
-        write(&mut Writer(out));
+        write(out);
         self.lane.post(Side::Child, kind, out);
         match self.lane.receive(Side::Child, message) {
             Ok(Kind::Answer) => read(&mut Reader(message)),
@@ -131,14 +112,15 @@ impl ChildLane {
         }
     }
 
-    fn tell(&self, kind: Kind, write: impl FnOnce(&mut Writer<'_>)) {
+    fn tell(&self, kind: Kind, write: impl FnOnce(&mut Vec<u8>)) {
         self.ask(kind, write, |_| ());
     }
 
     /// Defers a function that the host runs before the next message.
-    fn defer(&self, kind: Kind, write: impl FnOnce(&mut Writer<'_>)) {
+    fn defer(&self, kind: Kind, write: impl FnOnce(&mut Vec<u8>)) {
         let mut buffers = lock(&self.buffers);
-        write(Writer(&mut buffers.deferred).u32(kind as u32));
+        (kind as u32).put(&mut buffers.deferred);
+        write(&mut buffers.deferred);
         let is_full = buffers.deferred.len() > MAX_DEFERRED_BYTES;
         drop(buffers);
         if is_full {
@@ -153,15 +135,18 @@ impl ChildLane {
         }
         out.clear();
         let deferred = &mut lock(&self.buffers).deferred;
-        Writer(out).bytes(deferred);
+        put_bytes(deferred, out);
         deferred.clear();
     }
 
-    /// Receives the data that the host sent with a call.
-    pub fn receive_sent(&self, outputs_len: usize, reader: &mut Reader<'_>) -> Result<(), BadMessage> {
+    /// Takes the data that the host sent with a call, in exchange for the memory of the last one's.
+    pub fn receive_sent(&self, request: &mut TickRequest) {
         let mut buffers = lock(&self.buffers);
-        buffers.unshared.clear();
-        buffers.sent.read(outputs_len, reader)
+        let Buffers { unshared, sent, .. } = &mut *buffers;
+        unshared.clear();
+        sent.clock = request.clock;
+        std::mem::swap(&mut sent.stock, &mut request.stock);
+        std::mem::swap(&mut sent.ages, &mut request.ages);
     }
 
     /// Clears that data, for a call without inputs and outputs.
@@ -174,12 +159,12 @@ impl ChildLane {
     /// The reserved buffer for an output of this size; each can be taken once.
     fn take_from_stock(&self, output: u32, len: usize) -> Option<(BufferId, *mut u8)> {
         let mut buffers = lock(&self.buffers);
-        let (buffer, size) = buffers.sent.stock.get_mut(output as usize)?;
-        if *size == 0 || len > *size {
+        let reserved = buffers.sent.stock.get_mut(output as usize)?;
+        if reserved.len == 0 || len as u64 > reserved.len {
             return None;
         }
-        *size = 0;
-        let buffer = *buffer;
+        reserved.len = 0;
+        let buffer = reserved.buffer;
         let data = pools::resolve(buffer);
         buffers.unshared.push(buffer);
         (!data.is_null()).then_some((buffer, data))
@@ -229,11 +214,9 @@ impl CallFrame<'_> {
     }
 
     /// Asks for an output and puts it into the node's list.
-    fn made(&mut self, kind: Kind, output: u32, write: impl FnOnce(&mut Writer<'_>)) -> Status {
-        let (status, made) = self.lane.ask(kind, write, |reader| {
-            let status = reader.i32().unwrap_or(abi::STATUS_ERROR);
-            (status, reader.frame().unwrap_or(Frame::EMPTY))
-        });
+    fn made(&mut self, kind: Kind, output: u32, write: impl FnOnce(&mut Vec<u8>)) -> Status {
+        let none = Made { status: abi::STATUS_ERROR, frame: Frame::EMPTY };
+        let Made { status, frame: made } = self.lane.ask(kind, write, |reader| reader.take().unwrap_or(none));
         if status != abi::STATUS_OK {
             return status;
         }
@@ -259,26 +242,23 @@ unsafe extern "C" fn alloc(
 ) -> Status {
     // SAFETY: see `frame`.
     let Some(call) = (unsafe { frame(call) }) else { return abi::STATUS_INVALID };
-    let wanted = Frame { len, format, width, height, stride_bytes, tick: call.tick, ..Frame::EMPTY };
-    if call.accepts(output, &wanted)
+    let frame = Frame { len, format, width, height, stride_bytes, tick: call.tick, ..Frame::EMPTY };
+    let wanted = Wanted { output, format, width, height, stride_bytes, len: len as u64 };
+    if call.accepts(output, &frame)
         && let Some((buffer, data)) = call.lane.take_from_stock(output, len)
     {
-        call.show(output, Frame { buffer, data, ..wanted });
-        call.lane.defer(Kind::Placed, |out| {
-            out.u32(output).u32(format).u32(width).u32(height).u32(stride_bytes).u64(len as u64);
-        });
+        call.show(output, Frame { buffer, data, ..frame });
+        call.lane.defer(Kind::Placed, |out| wanted.put(out));
         return abi::STATUS_OK;
     }
-    call.made(Kind::Alloc, output, |out| {
-        out.u32(output).u32(format).u32(width).u32(height).u32(stride_bytes).u64(len as u64);
-    })
+    call.made(Kind::Alloc, output, |out| wanted.put(out))
 }
 
 unsafe extern "C" fn forward(call: *mut c_void, output: u32, given: *const Frame) -> Status {
     // SAFETY: see `frame`; the frame is read for the length of this function.
     let (Some(call), Some(given)) = (unsafe { (frame(call), given.as_ref()) }) else { return abi::STATUS_INVALID };
     let is_buffer = !given.data.is_null() && pools::resolve(given.buffer) == given.data;
-    let write = |out: &mut Writer<'_>| _ = out.u32(output).u32(u32::from(is_buffer)).frame(given);
+    let write = |out: &mut Vec<u8>| Forwarded { output, is_buffer, frame: *given }.put(out);
     if is_buffer && call.accepts(output, given) {
         call.show(output, Frame { tick: call.tick, ..*given });
         call.lane.set_unshared(given.buffer, false);
@@ -300,16 +280,15 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
         // least as many bytes and no other owner.
         unsafe { std::ptr::copy_nonoverlapping(shown.data, data, shown.len) };
         call.show(output, Frame { buffer, data, ..shown });
-        call.lane.defer(Kind::Copied, |out| _ = out.u32(output));
+        call.lane.defer(Kind::Copied, |out| output.put(out));
         return abi::STATUS_OK;
     }
-    // The frame is for a relay between two machines; the host knows it.
-    call.made(Kind::MakeMut, output, |out| _ = out.u32(output).frame(&shown))
+    call.made(Kind::MakeMut, output, |out| CopyWanted { output, frame: shown }.put(out))
 }
 
 fn count_now(lane: &ChildLane, buffer: BufferId, is_retained: bool) {
     lane.set_unshared(buffer, false);
-    lane.defer(if is_retained { Kind::Retain } else { Kind::Release }, |out| _ = out.buffer(buffer));
+    lane.defer(if is_retained { Kind::Retain } else { Kind::Release }, |out| buffer.put(out));
 }
 
 fn count(buffer: BufferId, is_retained: bool) {
@@ -358,21 +337,27 @@ unsafe extern "C" fn parallel_for(_: *mut c_void, chunks: usize, body: ChunkFn, 
 unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
     // SAFETY: see `frame` and `bytes`.
     if let (Some(call), message) = unsafe { (frame(call), bytes(message)) } {
-        call.lane.tell(Kind::Log, |out| _ = out.u32(level).bytes(message));
+        call.lane.tell(Kind::Log, |out| {
+            level.put(out);
+            put_bytes(message, out);
+        });
     }
 }
 
 unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
     // SAFETY: see `frame` and `bytes`.
     if let (Some(call), message) = unsafe { (frame(call), bytes(message)) } {
-        call.lane.tell(Kind::Fail, |out| _ = out.bytes(message));
+        call.lane.tell(Kind::Fail, |out| put_bytes(message, out));
     }
 }
 
 unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
     // SAFETY: see `frame` and `bytes`.
     if let (Some(call), name) = unsafe { (frame(call), bytes(name)) } {
-        call.lane.defer(Kind::Metric, |out| _ = out.bytes(name).f64(value));
+        call.lane.defer(Kind::Metric, |out| {
+            put_bytes(name, out);
+            value.put(out);
+        });
     }
 }
 
@@ -411,7 +396,7 @@ pub(super) fn save_state(node_type: &abi::NodeType, raw: *mut c_void, host: &Hos
 impl ChildLane {
     /// Passes a saved state on to the host.
     pub fn send_state(&self, state: &[u8]) {
-        state.chunks(STATE_PART_BYTES).for_each(|part| self.tell(Kind::Save, |out| _ = out.bytes(part)));
+        state.chunks(STATE_PART_BYTES).for_each(|part| self.tell(Kind::Save, |out| put_bytes(part, out)));
     }
 }
 
@@ -420,11 +405,11 @@ unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file:
     let (Some(call), Some(path)) = (unsafe { (frame(call), path.text()) }) else { return abi::STATUS_INVALID };
     let (status, answer) = call.lane.ask(
         Kind::ClaimFile,
-        |out| _ = out.u32(action).bytes(path.as_bytes()),
-        |reader| {
-            let status = reader.i32().unwrap_or(abi::STATUS_ERROR);
-            (status, reader.text().unwrap_or("").to_owned())
+        |out| {
+            action.put(out);
+            put_bytes(path.as_bytes(), out);
         },
+        |reader| (reader.take().unwrap_or(abi::STATUS_ERROR), reader.take().unwrap_or(String::new())),
     );
     call.file = answer;
     // SAFETY: null or a place for the answer, which stays as it is until the next claim of this call.
@@ -437,43 +422,43 @@ unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file:
 unsafe extern "C" fn clock_ns(call: *mut c_void) -> i64 {
     // SAFETY: see `frame`.
     let Some(call) = (unsafe { frame(call) }) else { return 0 };
-    if let Some((host_ns, at_ns)) = lock(&call.lane.buffers).sent.clock {
-        return host_ns.saturating_add(crate::isolate::system_ns().saturating_sub(at_ns).max(0));
+    if let Some(Clock { host_ns, system_ns }) = lock(&call.lane.buffers).sent.clock {
+        return host_ns.saturating_add(crate::isolate::system_ns().saturating_sub(system_ns).max(0));
     }
-    call.lane.ask(Kind::Clock, |_| (), |reader| reader.i64().unwrap_or(0))
+    call.lane.ask(Kind::Clock, |_| (), |reader| reader.take().unwrap_or(0))
 }
 
 unsafe extern "C" fn set_arrived_ns(call: *mut c_void, arrived_ns: i64) {
     // SAFETY: see `frame`.
     if let Some(call) = unsafe { frame(call) } {
-        call.lane.defer(Kind::SetArrived, |out| _ = out.i64(arrived_ns));
+        call.lane.defer(Kind::SetArrived, |out| arrived_ns.put(out));
     }
 }
 
 unsafe extern "C" fn arrived_ns(call: *mut c_void, input: u32) -> i64 {
     // SAFETY: see `frame`.
-    unsafe { age(call, Kind::Arrived, input, |(_, arrived_ns, _)| arrived_ns, i64::MIN) }
+    unsafe { age(call, Kind::Arrived, input, |age| age.arrived_ns, i64::MIN) }
 }
 
 unsafe extern "C" fn age_ns(call: *mut c_void, input: u32) -> i64 {
     // SAFETY: see `frame`.
-    unsafe { age(call, Kind::Age, input, |(_, _, age_ns)| age_ns, i64::MAX) }
+    unsafe { age(call, Kind::Age, input, |age| age.age_ns, i64::MAX) }
 }
 
-unsafe fn age(call: *mut c_void, kind: Kind, input: u32, of: fn((u32, i64, i64)) -> i64, otherwise: i64) -> i64 {
+unsafe fn age(call: *mut c_void, kind: Kind, input: u32, of: fn(Age) -> i64, otherwise: i64) -> i64 {
     // SAFETY: the caller's promise.
     let Some(call) = (unsafe { frame(call) }) else { return otherwise };
-    let sent = lock(&call.lane.buffers).sent.ages.iter().find(|(known, ..)| *known == input).copied();
+    let sent = lock(&call.lane.buffers).sent.ages.iter().find(|age| age.input == input).copied();
     match sent {
         Some(sent) => of(sent),
-        None => call.lane.ask(kind, |out| _ = out.u32(input), |reader| reader.i64().unwrap_or(otherwise)),
+        None => call.lane.ask(kind, |out| input.put(out), |reader| reader.take().unwrap_or(otherwise)),
     }
 }
 
 unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
     // SAFETY: see `frame`.
     if let Some(call) = unsafe { frame(call) } {
-        call.lane.defer(Kind::SetLag, |out| _ = out.i64(lag_ns));
+        call.lane.defer(Kind::SetLag, |out| lag_ns.put(out));
     }
 }
 

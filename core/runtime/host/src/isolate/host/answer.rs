@@ -8,7 +8,8 @@ use panoscope_engine::memory::{FrameRef, Memory, memory};
 
 use super::process::Process;
 use super::stock::Stock;
-use crate::isolate::wire::{BadMessage, Kind, MAX_TEXT_BYTES, Reader, Writer};
+use crate::isolate::wire::lane::{Age, Clock, CopyWanted, Forwarded, Kind, Made, TickRequest, Wanted};
+use crate::isolate::wire::{BadMessage, MAX_TEXT_BYTES, Reader, Wire, put_bytes};
 
 /// Arguments of the host's functions while a request is in the child.
 #[derive(Clone, Copy)]
@@ -74,25 +75,26 @@ impl Habits {
         }
     }
 
-    /// Writes the clock, and the arrival and age of inputs.
+    /// Fills in the clock, and the arrival and age of inputs.
     ///
     /// # Safety
     /// The call is running with the host's table.
-    pub unsafe fn write(&self, host: &Host, call: *mut c_void, inputs_len: usize, out: &mut Writer<'_>) {
+    pub unsafe fn fill(&self, host: &Host, call: *mut c_void, request: &mut TickRequest) {
         // The child adds the time that passes on the system's clock.
         let clock = host.clock_ns.filter(|_| self.clock);
         // SAFETY: the caller's promise.
-        out.u32(u32::from(clock.is_some())).i64(clock.map_or(0, |clock| unsafe { clock(call) }));
-        out.i64(if clock.is_some() { crate::isolate::system_ns() } else { 0 });
+        let host_ns = clock.map(|clock| unsafe { clock(call) });
+        request.clock = host_ns.map(|host_ns| Clock { host_ns, system_ns: crate::isolate::system_ns() });
+        let inputs_len = request.inputs.len();
         let known = |input: &&u32| **input == INPUT_TICK || (**input as usize) < inputs_len;
-        out.u64(self.ages.iter().filter(known).count() as u64);
-        for &input in self.ages.iter().filter(known) {
+        request.ages.clear();
+        request.ages.extend(self.ages.iter().filter(known).map(|&input| {
             let ask = |ask: Option<unsafe extern "C" fn(*mut c_void, u32) -> i64>, none: i64| {
                 // SAFETY: the caller's promise.
                 ask.map_or(none, |ask| unsafe { ask(call, input) })
             };
-            out.u32(input).i64(ask(host.arrived_ns, i64::MIN)).i64(ask(host.age_ns, i64::MAX));
-        }
+            Age { input, arrived_ns: ask(host.arrived_ns, i64::MIN), age_ns: ask(host.age_ns, i64::MAX) }
+        }));
     }
 }
 
@@ -139,7 +141,7 @@ impl Answerer<'_> {
     pub unsafe fn run_deferred(&mut self, bytes: &[u8]) -> Result<(), BadMessage> {
         let mut reader = Reader(bytes);
         while !reader.0.is_empty() {
-            let kind = Kind::of(reader.u32()?).filter(|kind| kind.is_deferred()).ok_or(BadMessage)?;
+            let kind = Kind::of(reader.take()?).filter(|kind| kind.is_deferred()).ok_or(BadMessage)?;
             // SAFETY: the caller's promise.
             unsafe { self.run(kind, &mut reader)? };
         }
@@ -154,7 +156,7 @@ impl Answerer<'_> {
         let (host, call) = (self.host, self.target.call);
         if let Kind::Retain | Kind::Release = kind {
             let function = if kind == Kind::Retain { host.retain } else { host.release };
-            let buffer = reader.buffer()?;
+            let buffer = reader.take()?;
             if kind == Kind::Retain && !self.process.can_read(buffer) {
                 return Err(self.spent.refuse("kept a frame that it was not given"));
             }
@@ -169,10 +171,8 @@ impl Answerer<'_> {
         }
         match kind {
             Kind::Placed => {
-                let output = reader.u32()?;
-                let (format, width, height, stride_bytes) =
-                    (reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?);
-                let len = usize::try_from(reader.u64()?).map_err(|_| BadMessage)?;
+                let Wanted { output, format, width, height, stride_bytes, len } = reader.take()?;
+                let len = usize::try_from(len).map_err(|_| BadMessage)?;
                 let buffer = self.stock.take(output).filter(|buffer| len <= buffer.frame().len).ok_or(BadMessage)?;
                 let frame = Frame { len, format, width, height, stride_bytes, ..buffer.into_raw() };
                 self.stock.note(output, len);
@@ -180,14 +180,13 @@ impl Answerer<'_> {
                 return Ok(unsafe { host::place(call, output, FrameRef::adopt(frame), false) });
             }
             Kind::Copied => {
-                let output = reader.u32()?;
+                let output = reader.take()?;
                 let buffer = self.stock.take(output).ok_or(BadMessage)?;
                 // SAFETY: the running call.
                 return Ok(unsafe { host::place(call, output, buffer, true) });
             }
             Kind::Forward => {
-                let (output, is_buffer) = (reader.u32()?, reader.u32()? == 1);
-                let mut frame = reader.frame()?;
+                let Forwarded { output, is_buffer, mut frame } = reader.take()?;
                 if is_buffer {
                     // It can read all of a pool that it was given, so that it could as well copy; of others it knows nothing.
                     if !self.process.can_read(frame.buffer) {
@@ -200,7 +199,7 @@ impl Answerer<'_> {
                 return Ok(unsafe { forward(call, output, &raw const frame) });
             }
             Kind::Metric => {
-                let (name, value) = (reader.bytes()?, reader.f64()?);
+                let (name, value) = (reader.bytes()?, reader.take()?);
                 if name.len() > MAX_NAME_BYTES {
                     return Err(BadMessage);
                 }
@@ -210,7 +209,7 @@ impl Answerer<'_> {
                 }
             }
             Kind::SetArrived | Kind::SetLag => {
-                let ns = reader.i64()?;
+                let ns = reader.take()?;
                 let set = if kind == Kind::SetLag { host.set_lag_ns } else { host.set_arrived_ns };
                 if let Some(set) = set {
                     // SAFETY: the running call.
@@ -252,32 +251,31 @@ impl Answerer<'_> {
         let text = |bytes: &[u8]| Str { ptr: bytes.as_ptr(), len: bytes.len().min(MAX_TEXT_BYTES) };
         match asked {
             Kind::Alloc => {
-                let output = reader.u32()?;
-                let (format, width, height, stride) = (reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?);
-                let len = usize::try_from(reader.u64()?).map_err(|_| BadMessage)?;
+                let Wanted { output, format, width, height, stride_bytes, len } = reader.take()?;
+                let len = usize::try_from(len).map_err(|_| BadMessage)?;
                 // SAFETY: the running call; the host checks all numbers.
                 let status = host.alloc.map_or(abi::STATUS_INVALID, |alloc| unsafe {
-                    alloc(call, output, format, width, height, stride, len)
+                    alloc(call, output, format, width, height, stride_bytes, len)
                 });
                 // SAFETY: the outputs live.
                 unsafe { self.made(status, output, out) }
             }
             Kind::Forward => {
-                let output = Reader(message).u32()?;
+                let output = Reader(message).take::<Forwarded>()?.output;
                 // SAFETY: the caller's promise.
                 let status = unsafe { self.run(Kind::Forward, &mut reader)? };
                 // SAFETY: the outputs live.
                 unsafe { self.made(status, output, out) }
             }
             Kind::MakeMut => {
-                let output = reader.u32()?;
+                let CopyWanted { output, .. } = reader.take()?;
                 // SAFETY: the running call; the host checks the number.
                 let status = host.make_mut.map_or(abi::STATUS_INVALID, |make_mut| unsafe { make_mut(call, output) });
                 // SAFETY: the outputs live.
                 unsafe { self.made(status, output, out) }
             }
             Kind::Log => {
-                let (level, words) = (reader.u32()?, reader.bytes()?);
+                let (level, words) = (reader.take()?, reader.bytes()?);
                 if let Some(log) = host.log {
                     // SAFETY: the running call; the words live until the call returns.
                     unsafe { log(call, level, text(words)) };
@@ -291,7 +289,7 @@ impl Answerer<'_> {
                 }
             }
             Kind::ClaimFile => {
-                let (action, path) = (reader.u32()?, reader.text()?);
+                let (action, path) = (reader.take()?, std::str::from_utf8(reader.bytes()?).map_err(|_| BadMessage)?);
                 self.spent.claims += 1;
                 if self.spent.claims > MAX_CLAIMS || path.len() > MAX_PATH_BYTES {
                     return Err(self
@@ -304,19 +302,21 @@ impl Answerer<'_> {
                     claim(call, Str::borrow(path), action, &raw mut file)
                 });
                 // SAFETY: the host's answer stays as it is until the next claim.
-                Writer(out).i32(status).bytes(unsafe { file.bytes() });
+                let file = unsafe { file.bytes() };
+                status.put(out);
+                put_bytes(file, out);
             }
             Kind::Clock => {
                 self.habits.clock = true;
                 // SAFETY: the running call.
-                Writer(out).i64(host.clock_ns.map_or(0, |clock| unsafe { clock(call) }));
+                host.clock_ns.map_or(0, |clock| unsafe { clock(call) }).put(out);
             }
             Kind::Arrived | Kind::Age => {
-                let input = reader.u32()?;
+                let input = reader.take()?;
                 self.habits.note_age(input);
                 let ask = if asked == Kind::Age { host.age_ns } else { host.arrived_ns };
                 // SAFETY: the running call; the host checks the number.
-                Writer(out).i64(ask.map_or(i64::MIN, |ask| unsafe { ask(call, input) }));
+                ask.map_or(i64::MIN, |ask| unsafe { ask(call, input) }).put(out);
             }
             _ => return Err(BadMessage),
         }
@@ -328,23 +328,23 @@ impl Answerer<'_> {
     /// # Safety
     /// The outputs of the target are valid.
     unsafe fn made(&mut self, status: Status, output: u32, out: &mut Vec<u8>) {
-        let mut out = Writer(out);
-        match self.target.output(output).filter(|_| status == abi::STATUS_OK) {
+        let none = |status| Made { status, frame: Frame::EMPTY };
+        let made = match self.target.output(output).filter(|_| status == abi::STATUS_OK) {
             Some(frame) => {
                 // SAFETY: the caller's promise.
-                let frame = unsafe { &*frame };
+                let frame = unsafe { *frame };
                 if Memory::domain_of(frame.buffer) == self.process.domain() {
                     self.stock.note(output, frame.len);
                 }
                 match self.process.give_pool(frame.buffer) {
-                    Ok(()) => _ = out.i32(status).frame(frame),
+                    Ok(()) => Made { status, frame },
                     // Private memory of the host, which a retained frame may still be in.
-                    Err(_) => _ = out.i32(abi::STATUS_EXHAUSTED).frame(&Frame::EMPTY),
+                    Err(_) => none(abi::STATUS_EXHAUSTED),
                 }
             }
-            None => {
-                _ = out.i32(if status == abi::STATUS_OK { abi::STATUS_INVALID } else { status }).frame(&Frame::EMPTY)
-            }
-        }
+            None if status == abi::STATUS_OK => none(abi::STATUS_INVALID),
+            None => none(status),
+        };
+        made.put(out);
     }
 }

@@ -12,7 +12,8 @@ use super::process::{Launch, NodeLane, Process};
 use super::{PluginImage, Totals, kept, lock};
 use crate::isolate::description::{self, Described};
 use crate::isolate::lane::{Lost, Side};
-use crate::isolate::wire::{BadMessage, Kind, MAX_PROBLEM_BYTES, MAX_PROBLEMS, Reader, Writer, plain_words};
+use crate::isolate::wire::lane::{Kind, Problem, Validate, after_deferred};
+use crate::isolate::wire::{BadMessage, MAX_PROBLEM_BYTES, MAX_PROBLEMS, Params, Reader, encoded, plain_words};
 
 /// Time limit of a check of parameters.
 const MAX_VALIDATE: Duration = Duration::from_secs(10);
@@ -119,12 +120,10 @@ impl Describer {
         if let Some(node_types) = kept.and_then(kept::read).and_then(|bytes| read(&bytes).ok()) {
             return Ok(node_types);
         }
-        let mut request = Vec::new();
-        Writer(&mut request).u32(self.image.id);
-        let answer = self.ask(Kind::Describe, &request, limit)?;
+        let answer = self.ask(Kind::Describe, &encoded(&self.image.id), limit)?;
         let mut reader = Reader(&answer);
         let nonsense = |BadMessage| DescribeError::Nonsense;
-        match reader.i32().map_err(nonsense)? {
+        match reader.take().map_err(nonsense)? {
             abi::STATUS_OK => {
                 let node_types = read(reader.0).map_err(nonsense)?;
                 if let Some(file) = kept {
@@ -146,22 +145,20 @@ impl Describer {
     pub unsafe fn validate(&self, index: u32, call: *mut abi::ValidateCall) -> Result<Status, DescribeError> {
         // SAFETY: the caller's promise.
         let call = unsafe { &*call };
-        let mut request = Vec::new();
-        Writer(&mut request).u32(self.image.id).u32(index).u32(call.flags);
         // SAFETY: the caller's promise.
-        let connections = unsafe {
-            let mut out = Writer(&mut request);
-            out.bytes(call.node_id.bytes()).bytes(call.graph_dir.bytes()).params(call.params, call.params_len);
-            match call.connections_len {
-                0 => &[],
-                len => std::slice::from_raw_parts(call.connections, len),
+        let request = unsafe {
+            Validate {
+                plugin: self.image.id,
+                index,
+                flags: call.flags,
+                node: call.node_id.text().unwrap_or_default().to_owned(),
+                graph_dir: call.graph_dir.text().unwrap_or_default().to_owned(),
+                params: Params::copy(call.params, call.params_len),
+                connections: (0..call.connections_len).map(|at| *call.connections.add(at)).collect(),
+                outputs_read: call.outputs_read,
             }
         };
-        let mut out = Writer(&mut request);
-        out.u64(connections.len() as u64);
-        connections.iter().for_each(|count| _ = out.u32(*count));
-        out.u64(call.outputs_read);
-        let answer = self.ask(Kind::Validate, &request, MAX_VALIDATE)?;
+        let answer = self.ask(Kind::Validate, &encoded(&request), MAX_VALIDATE)?;
         // SAFETY: the caller's promise.
         unsafe { report(&answer, call) }.map_err(|BadMessage| DescribeError::Nonsense)
     }
@@ -222,17 +219,15 @@ impl Describer {
 /// The handle of the call stays valid until this returns.
 pub(super) unsafe fn report(answer: &[u8], call: &abi::ValidateCall) -> Result<Status, BadMessage> {
     let mut reader = Reader(answer);
-    let status = reader.i32()?;
-    let count = reader.count(24)?;
-    if count > MAX_PROBLEMS {
+    let (status, problems) = (reader.take()?, reader.take::<Vec<Problem>>()?);
+    if problems.len() > MAX_PROBLEMS {
         return Err(BadMessage);
     }
-    for _ in 0..count {
-        let (severity, param, message, help) = (reader.u32()?, reader.u32()?, reader.bytes()?, reader.bytes()?);
+    for Problem { severity, param, message, help } in &problems {
         let text = |bytes: &[u8]| Str { ptr: bytes.as_ptr(), len: bytes.len().min(MAX_PROBLEM_BYTES) };
         if let Some(invalid) = call.invalid {
             // SAFETY: the caller's promise; the texts live until the function returns.
-            unsafe { invalid(call.call, severity, param, text(message), text(help)) };
+            unsafe { invalid(call.call, *severity, *param, text(message), text(help)) };
         }
     }
     Ok(status)
@@ -254,8 +249,7 @@ fn exchange(running: Option<&Running>, kind: Kind, request: &[u8], limit: Durati
     let outcome = match answered {
         Ok(Kind::Done) => {
             // What it wrote down belongs to no call.
-            let mut reader = Reader(&message);
-            reader.bytes().map(|_| reader.0.to_vec()).map_err(|BadMessage| DescribeError::Nonsense)
+            after_deferred(&message).map(|reader| reader.0.to_vec()).map_err(|BadMessage| DescribeError::Nonsense)
         }
         // Functions of the host belong to calls, and here is none.
         Ok(_) | Err(Lost::Bad) => Err(DescribeError::Nonsense),

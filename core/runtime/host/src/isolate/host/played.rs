@@ -15,7 +15,8 @@ use super::process::Process;
 use super::{PluginImage, Totals, describer, lock, remote};
 use crate::isolate::description;
 use crate::isolate::lane::{Lane, Side};
-use crate::isolate::wire::{BadMessage, Kind, Reader, Writer};
+use crate::isolate::wire::lane::{Kind, Made, TickRequest};
+use crate::isolate::wire::{BadMessage, encoded, put_bytes, whole};
 
 /// Length of the name of a buffer in a message; a frame begins with its buffer.
 const BUFFER_BYTES: usize = 12;
@@ -130,34 +131,15 @@ fn play(lane: &Lane, script: &[Step]) {
 
 impl Sent {
     fn note(&mut self, asked: Kind, message: &[u8]) -> Result<(), BadMessage> {
-        let mut reader = Reader(message);
         match asked {
-            Kind::Answer => {
-                reader.i32()?;
-                self.made.clear();
-                Writer(&mut self.made).frame(&reader.frame()?);
-            }
+            Kind::Answer => self.made = encoded(&whole::<Made>(message)?.frame),
             Kind::Process => {
-                reader.u32()?;
-                reader.tick()?;
-                reader.u64()?;
-                reader.u64()?;
-                if reader.u32()? == 1 {
-                    reader.params()?;
+                let request = whole::<TickRequest>(message)?;
+                if let Some(input) = request.inputs.first() {
+                    self.input = encoded(input);
                 }
-                for _ in 0..reader.count(8)? {
-                    reader.u64()?;
-                }
-                for at in 0..reader.count(1)? {
-                    let input = reader.frame()?;
-                    if at == 0 {
-                        self.input.clear();
-                        Writer(&mut self.input).frame(&input);
-                    }
-                }
-                if reader.u64()? > 0 {
-                    self.stock.clear();
-                    Writer(&mut self.stock).buffer(reader.buffer()?);
+                if let Some(reserved) = request.stock.first() {
+                    self.stock = encoded(&reserved.buffer);
                 }
             }
             _ => {}
@@ -172,7 +154,7 @@ impl Sent {
                 Piece::Counted(pieces) => {
                     let mut inside = Vec::new();
                     self.write(pieces, &mut inside);
-                    Writer(out).bytes(&inside);
+                    put_bytes(&inside, out);
                 }
                 Piece::Input => out.extend_from_slice(&self.input),
                 Piece::InputBuffer => out.extend_from_slice(self.input.get(..BUFFER_BYTES).unwrap_or_default()),
@@ -198,7 +180,7 @@ pub fn with_description<R>(bytes: &[u8], read: impl FnOnce(*const Plugin) -> R) 
 pub unsafe fn description_of(node_types: &[&NodeType]) -> Vec<u8> {
     let mut bytes = Vec::new();
     // SAFETY: the caller's promise.
-    unsafe { description::write(node_types, &mut Writer(&mut bytes)) };
+    unsafe { description::write(node_types, &mut bytes) };
     bytes
 }
 

@@ -20,8 +20,9 @@ use panoscope_engine::memory::{MAX_POOLS, Memory, PoolFile, memory};
 
 use super::{PluginImage, Totals, lock};
 use crate::isolate::lane::Lane;
-use crate::isolate::socket::{self, Tag};
-use crate::isolate::wire::{Reader, Writer, plain_words};
+use crate::isolate::socket;
+use crate::isolate::wire::lane::{Settings, ToChild};
+use crate::isolate::wire::{encoded, plain_words, whole};
 use crate::isolate::{COMMAND, EXIT_CONFINED, EXIT_LINK, LINK_COMMAND, MACHINE_PROGRAM, PROTOCOL};
 
 /// Time limit for a process to end after its last instance closed, or after it was killed.
@@ -319,12 +320,10 @@ impl Process {
         let stderr = if settings.keeps_stderr || is_link { Some(new_stderr()?) } else { None };
         let mut child = launch.start(&settings.name, theirs, stderr.as_ref())?;
         let begun = pidfd(&child).and_then(|pidfd| {
-            let mut hello = Vec::new();
-            Writer(&mut hello).u32(Tag::Hello as u32).u32(PROTOCOL);
-            Writer(&mut hello).u32(settings.threads as u32).u64(settings.memory_bytes);
-            let deny = settings.deny;
-            Writer(&mut hello).u32(u32::from(deny.network)).u32(u32::from(deny.new_files));
-            socket::send(ours.as_fd(), &hello, None)?;
+            let GroupSettings { threads, memory_bytes, deny, .. } = *settings;
+            let settings = Settings { threads: threads as u32, memory_bytes, deny };
+            let hello = ToChild::Hello { protocol: PROTOCOL, settings };
+            socket::send(ours.as_fd(), &encoded(&hello), None)?;
             Ok(pidfd)
         });
         let pidfd = begun.inspect_err(|_| end(&mut child))?;
@@ -402,9 +401,9 @@ impl Process {
         let watcher = std::thread::Builder::new().name("played".to_owned()).spawn(move || {
             let mut lanes = Vec::new();
             while let Ok((message, file)) = socket::receive(theirs.as_fd())
-                && let Some(tag) = Reader(&message).u32().ok().and_then(Tag::of)
+                && let Ok(message) = whole(&message)
             {
-                if tag == Tag::Lane
+                if let ToChild::Lane = message
                     && let Some(lane) = file.and_then(|file| Lane::map(&File::from(file)).ok())
                 {
                     let (life, play, lane) = (Arc::clone(&lived), play.clone(), Arc::new(lane));
@@ -492,9 +491,9 @@ impl Process {
         words.unwrap_or_else(|| format!("{} does not end", self.life.what))
     }
 
-    fn send(&self, message: &[u8], file: &impl AsFd) -> io::Result<()> {
+    fn send(&self, message: &ToChild, file: &impl AsFd) -> io::Result<()> {
         match &*lock(&self.socket) {
-            Some(socket) => socket::send(socket.as_fd(), message, Some(file.as_fd())),
+            Some(socket) => socket::send(socket.as_fd(), &encoded(message), Some(file.as_fd())),
             None => Err(io::ErrorKind::NotConnected.into()),
         }
     }
@@ -509,9 +508,7 @@ impl Process {
         }
         state.lanes.push(Arc::clone(&lane));
         drop(state);
-        let mut message = Vec::new();
-        Writer(&mut message).u32(Tag::Lane as u32);
-        self.send(&message, &file).inspect_err(|_| self.drop_lane(&lane))?;
+        self.send(&ToChild::Lane, &file).inspect_err(|_| self.drop_lane(&lane))?;
         Ok(lane)
     }
 
@@ -540,9 +537,7 @@ impl Process {
 
     /// Sends the bytes of a plugin to the child; `path` is its file, for messages.
     pub fn give_plugin_file(&self, id: u32, image: &File, path: &Path) -> io::Result<()> {
-        let mut message = Vec::new();
-        Writer(&mut message).u32(Tag::Plugin as u32).u32(id).bytes(path.as_os_str().as_encoded_bytes());
-        self.send(&message, image)
+        self.send(&ToChild::Plugin { id, path: path.as_os_str().as_encoded_bytes().to_vec() }, image)
     }
 
     /// Makes sure that the child can map the pool of a buffer.
@@ -566,8 +561,7 @@ impl Process {
 
     /// Sends the file of a pool to the child, writable if the pool is its own.
     pub fn give_pool_file(&self, number: u32, file: &File, len: usize, is_own: bool) -> io::Result<()> {
-        let mut message = Vec::new();
-        Writer(&mut message).u32(Tag::Pool as u32).u32(number).u64(len as u64).u32(u32::from(is_own));
+        let message = ToChild::Pool { number, len: len as u64, is_own };
         if is_own {
             return self.send(&message, file);
         }

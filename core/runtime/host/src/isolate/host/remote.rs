@@ -5,7 +5,7 @@ use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use panoscope_abi::{self as abi, Frame, Host, NodeType, Status, Tick};
+use panoscope_abi::{self as abi, Frame, Host, NodeType, Status};
 use panoscope_engine::host;
 use panoscope_engine::isolation::STATUS_DIED;
 use panoscope_engine::memory::{FrameRef, Memory, memory};
@@ -15,7 +15,8 @@ use super::answer::{Answerer, Habits, Spent, Target};
 use super::process::{NodeLane, Process};
 use super::stock::Stock;
 use crate::isolate::lane::{Lost, MAX_MESSAGE_BYTES, Side};
-use crate::isolate::wire::{BadMessage, Kind, Reader, Writer, plain_status};
+use crate::isolate::wire::lane::{Kind, Open, TickDone, TickRequest, after_deferred};
+use crate::isolate::wire::{BadMessage, Params, Reader, Wire, plain_status, put_bytes};
 
 /// The instance as the engine holds it.
 struct Remote {
@@ -28,10 +29,11 @@ struct Remote {
     message: Vec<u8>,
     /// Version of the parameters that the child knows.
     params_version: Option<u64>,
+    /// The tick's request and result; their memory is used again.
+    tick: TickRequest,
+    done: TickDone,
     /// Copies of inputs that the child cannot map.
     copies: Vec<FrameRef>,
-    /// For a link: the use count of each input's buffer, which tells which frames the other machine already has.
-    uses: Vec<u32>,
     stock: Stock,
     habits: Habits,
     spent: Spent,
@@ -112,26 +114,29 @@ pub(super) unsafe fn open(
         out: Vec::new(),
         message: Vec::new(),
         params_version: None,
+        tick: TickRequest::default(),
+        done: TickDone::default(),
         copies: Vec::new(),
-        uses: Vec::new(),
         stock: Stock::default(),
         habits,
         spent: Spent::default(),
     };
-    let threads = remote.host.threads;
-    remote.begin().u32(image.id).u32(index).u32(open.flags).u32(threads).u64(open.outputs_read);
-    // SAFETY: texts and values of the call live.
-    unsafe {
-        Writer(&mut remote.out).bytes(open.node_id.bytes()).bytes(open.graph_dir.bytes());
-        Writer(&mut remote.out).params(open.params, open.params_len);
-    }
-    if let Some(entry) = entry.filter(|_| remote.process.is_link()) {
-        // At the end, where only a link looks for them: the parameters that name files which the node reads.
-        let reads: Vec<u32> =
-            (0..entry.params_len.min(open.params_len) as u32).filter(|at| is_read(entry, *at)).collect();
-        Writer(&mut remote.out).u64(reads.len() as u64);
-        reads.iter().for_each(|at| _ = Writer(&mut remote.out).u32(*at));
-    }
+    let params_len = |entry: &NodeType| entry.params_len.min(open.params_len) as u32;
+    let reads = |entry| (0..params_len(entry)).filter(|at| is_read(entry, *at)).collect();
+    let request = Open {
+        plugin: image.id,
+        index,
+        flags: open.flags,
+        threads: remote.host.threads,
+        outputs_read: open.outputs_read,
+        node: node.to_owned(),
+        // SAFETY: the text of the call lives.
+        graph_dir: unsafe { open.graph_dir.text() }.unwrap_or_default().to_owned(),
+        // SAFETY: the values of the call live.
+        params: unsafe { Params::copy(open.params, open.params_len) },
+        reads: entry.filter(|_| remote.process.is_link()).map(reads).unwrap_or_default(),
+    };
+    request.put(&mut remote.out);
     // SAFETY: the caller's promise.
     let status = unsafe { remote.request(Kind::Open, target) };
     if status == abi::STATUS_OK {
@@ -166,14 +171,18 @@ impl Drop for Remote {
 }
 
 impl Remote {
-    /// Begins a message.
-    fn begin(&mut self) -> Writer<'_> {
+    /// Makes a request without content.
+    ///
+    /// # Safety
+    /// As [`Self::request`].
+    unsafe fn ask(&mut self, kind: Kind, target: Target) -> Status {
         self.out.clear();
-        Writer(&mut self.out)
+        // SAFETY: the caller's promise.
+        unsafe { self.request(kind, target) }
     }
 
     /// Posts the message, answers the child until it is done, and returns the status. The child's last message is in
-    /// `message`, see [`Self::result`].
+    /// `message`.
     ///
     /// # Safety
     /// Table, call and outputs of `target` are valid.
@@ -230,14 +239,7 @@ impl Remote {
             kind = Kind::Answer;
         }
         self.lane.in_call.store(false, Ordering::Relaxed);
-        Ok(plain_status(self.result()?.i32()?))
-    }
-
-    /// The child's result after its deferred functions: the status first.
-    fn result(&self) -> Result<Reader<'_>, BadMessage> {
-        let mut reader = Reader(&self.message);
-        reader.bytes()?;
-        Ok(reader)
+        Ok(plain_status(after_deferred(&self.message)?.take()?))
     }
 
     /// An input in memory that the child can map.
@@ -273,36 +275,31 @@ impl Remote {
     /// Everything that the call points to is valid.
     unsafe fn write_tick(&mut self, call: &abi::Call) -> Result<(), NotShared> {
         let sends_params = self.params_version != Some(call.params_version);
-        self.uses.clear();
-        self.begin().u32(call.flags).tick(&call.tick).u64(call.outputs_read).u64(call.params_version);
-        Writer(&mut self.out).u32(u32::from(sends_params));
-        if sends_params {
-            // SAFETY: the caller's promise.
-            unsafe { Writer(&mut self.out).params(call.params, call.params_len) };
-        }
-        Writer(&mut self.out).u64(call.input_ranges_len as u64);
-        for at in 0..call.input_ranges_len {
-            // SAFETY: the caller's promise.
-            let range = unsafe { *call.input_ranges.add(at) };
-            Writer(&mut self.out).u32(range.first).u32(range.count);
-        }
-        Writer(&mut self.out).u64(call.inputs_len as u64);
+        // SAFETY: the caller's promise.
+        let params = sends_params.then(|| unsafe { Params::copy(call.params, call.params_len) });
+        let mut tick = std::mem::take(&mut self.tick);
+        (tick.flags, tick.tick, tick.params) = (call.flags, call.tick, params);
+        (tick.outputs_read, tick.params_version) = (call.outputs_read, call.params_version);
+        tick.ranges.clear();
+        // SAFETY: the caller's promise.
+        tick.ranges.extend((0..call.input_ranges_len).map(|at| unsafe { *call.input_ranges.add(at) }));
+        tick.inputs.clear();
+        tick.uses.clear();
         for at in 0..call.inputs_len {
             // SAFETY: the caller's promise.
             let input = unsafe { *call.inputs.add(at) };
             let frame = self.shared(&input)?;
-            Writer(&mut self.out).frame(&frame);
+            tick.inputs.push(frame);
             if self.process.is_link() {
-                self.uses.push(memory().uses(frame.buffer));
+                tick.uses.push(memory().uses(frame.buffer));
             }
         }
-        let mut out = Writer(&mut self.out);
-        out.u64(call.outputs_len as u64);
-        self.stock.write(call.outputs_len, &self.process, &mut out);
+        self.stock.list(call.outputs_len, &self.process, &mut tick.stock);
         // SAFETY: the call is running.
-        unsafe { self.habits.write(&self.host, call.call, call.inputs_len, &mut out) };
-        // At the end, where only a link looks for them.
-        self.uses.drain(..).for_each(|uses| _ = out.u32(uses));
+        unsafe { self.habits.fill(&self.host, call.call, &mut tick) };
+        self.out.clear();
+        tick.put(&mut self.out);
+        self.tick = tick;
         Ok(())
     }
 
@@ -310,25 +307,23 @@ impl Remote {
     ///
     /// # Safety
     /// The call and its outputs are valid.
-    unsafe fn read_tick(&self, call: &mut abi::Call) -> Result<(), BadMessage> {
-        let mut reader = self.result()?;
-        reader.i32()?;
-        let Tick { capture_ns, .. } = reader.tick()?;
-        call.tick.capture_ns = capture_ns;
-        if reader.count(1)? != call.outputs_len {
+    unsafe fn read_tick(&mut self, call: &mut abi::Call) -> Result<(), BadMessage> {
+        let mut reader = after_deferred(&self.message)?;
+        reader.take::<Status>()?;
+        self.done.refill(&mut reader)?;
+        call.tick.capture_ns = self.done.tick.capture_ns;
+        if self.done.outputs.len() != call.outputs_len {
             return Err(BadMessage);
         }
-        for at in 0..call.outputs_len {
+        for (at, made) in self.done.outputs.iter().enumerate() {
             // SAFETY: the caller's promise.
             let shown = unsafe { &mut *call.outputs.add(at) };
-            let Frame { buffer, len, format, width, height, stride_bytes, .. } = reader.frame()?;
             // The engine compares them with its own.
-            *shown = Frame { buffer, len, format, width, height, stride_bytes, ..*shown };
+            *shown = Frame { data: shown.data, tick: shown.tick, ..*made };
         }
-        let position = reader.bytes()?;
-        if !position.is_empty() {
+        if !self.done.position.is_empty() {
             // SAFETY: the call is running.
-            unsafe { host::keep_position(call.call, position) };
+            unsafe { host::keep_position(call.call, &self.done.position) };
         }
         Ok(())
     }
@@ -372,18 +367,16 @@ unsafe extern "C" fn process(instance: *mut c_void, call: *mut abi::Call) -> Sta
 unsafe extern "C" fn close(instance: *mut c_void) {
     // SAFETY: an instance of `open`, closed once.
     let mut remote = unsafe { Box::from_raw(instance.cast::<Remote>()) };
-    remote.begin();
     let target = Target::new(&raw const remote.host, std::ptr::null_mut());
     // SAFETY: the table lives in `remote`, and there is no call.
-    unsafe { remote.request(Kind::Close, target) };
+    unsafe { remote.ask(Kind::Close, target) };
 }
 
 unsafe extern "C" fn save_state(instance: *mut c_void, host: *const Host, sink: *mut c_void) -> Status {
     // SAFETY: an instance of `open` that no other thread uses.
     let remote = unsafe { &mut *instance.cast::<Remote>() };
-    remote.begin();
     // SAFETY: table and sink live until this returns.
-    unsafe { remote.request(Kind::SaveState, Target { sink, ..Target::new(host, std::ptr::null_mut()) }) }
+    unsafe { remote.ask(Kind::SaveState, Target { sink, ..Target::new(host, std::ptr::null_mut()) }) }
 }
 
 unsafe extern "C" fn load_state(instance: *mut c_void, bytes: *const u8, len: usize) -> Status {
@@ -394,22 +387,21 @@ unsafe extern "C" fn load_state(instance: *mut c_void, bytes: *const u8, len: us
     };
     let target = Target::new(&raw const remote.host, std::ptr::null_mut());
     for part in bytes.chunks(MAX_MESSAGE_BYTES / 2) {
-        remote.begin().bytes(part);
+        remote.out.clear();
+        put_bytes(part, &mut remote.out);
         // SAFETY: the table lives in the instance, and there is no call.
         let status = unsafe { remote.request(Kind::LoadPart, target) };
         if status != abi::STATUS_OK {
             return status;
         }
     }
-    remote.begin();
     // SAFETY: the table lives in the instance, and there is no call.
-    unsafe { remote.request(Kind::LoadState, target) }
+    unsafe { remote.ask(Kind::LoadState, target) }
 }
 
 unsafe extern "C" fn finish(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status {
     // SAFETY: an instance of `open` that no other thread uses.
     let remote = unsafe { &mut *instance.cast::<Remote>() };
-    remote.begin();
     // SAFETY: table and call live until this returns.
-    unsafe { remote.request(Kind::Finish, Target::new(host, call)) }
+    unsafe { remote.ask(Kind::Finish, Target::new(host, call)) }
 }

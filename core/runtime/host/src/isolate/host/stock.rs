@@ -1,10 +1,10 @@
 //! Buffers that the host reserves for the next call of an instance, so that its outputs need no round trip.
 
-use panoscope_abi::{BufferId, Frame};
+use panoscope_abi::Frame;
 use panoscope_engine::memory::{FrameRef, memory, room_for};
 
 use super::process::Process;
-use crate::isolate::wire::Writer;
+use crate::isolate::wire::lane::Reserved;
 
 /// A buffer is replaced when the output needs less than 1 / `MIN_SHARE` of it.
 const MIN_SHARE: usize = 4;
@@ -32,17 +32,18 @@ impl Stock {
         }
     }
 
-    /// Reserves missing buffers and encodes, for each output, a buffer and its size; size 0 for none.
-    pub fn write(&mut self, outputs_len: usize, process: &Process, out: &mut Writer<'_>) {
+    /// Reserves missing buffers and lists one for each output.
+    pub fn list(&mut self, outputs_len: usize, process: &Process, list: &mut Vec<Reserved>) {
+        list.clear();
         self.outputs.resize_with(outputs_len, Reserve::default);
         for reserve in &mut self.outputs {
             if reserve.buffer.is_none() && reserve.wanted_bytes > 0 {
                 reserve.buffer = buffer(reserve.wanted_bytes, process);
             }
-            match &reserve.buffer {
-                Some(buffer) => out.buffer(buffer.frame().buffer).u64(buffer.frame().len as u64),
-                None => out.buffer(BufferId::default()).u64(0),
-            };
+            let frame = reserve.buffer.as_ref().map(FrameRef::frame);
+            list.push(
+                frame.map_or_else(Reserved::default, |frame| Reserved { buffer: frame.buffer, len: frame.len as u64 }),
+            );
         }
     }
 

@@ -1,19 +1,18 @@
 //! The host's end of a connection: a process that the host treats as the process of a group.
 
-use std::ffi::OsStr;
+use std::ffi::OsString;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
-use std::os::unix::ffi::OsStrExt;
+use std::os::unix::ffi::OsStringExt;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
-use super::{RelayError, Settings};
-use crate::isolate::PROTOCOL;
+use super::RelayError;
 use crate::isolate::lane::{Lane, Side};
-use crate::isolate::socket::{self, Tag};
-use crate::isolate::wire::{BadMessage, Kind, Reader};
-use panoscope_engine::isolation::Deny;
+use crate::isolate::socket;
+use crate::isolate::wire::lane::{Kind, Settings, ToChild, hello};
+use crate::isolate::wire::whole;
 
 /// The connection to the host.
 pub struct Link {
@@ -69,9 +68,7 @@ impl Link {
             OwnedFd::from_raw_fd(socket)
         };
         let (message, _) = socket::receive(socket.as_fd())?;
-        let settings = hello(&message)
-            .map_err(|_| io::Error::other("the programs have different versions; install both again"))?;
-        Ok(Self { socket, settings })
+        Ok(Self { socket, settings: hello(&message)? })
     }
 
     /// Waits for the next resource from the host; `None` when the host has closed the socket.
@@ -88,36 +85,18 @@ impl Link {
 }
 
 fn read(message: &[u8], file: Option<OwnedFd>) -> io::Result<Given> {
-    let bad = |_| io::Error::other(RelayError::Bad);
-    let file = File::from(file.ok_or(BadMessage).map_err(bad)?);
-    let mut reader = Reader(message);
-    let number = |reader: &mut Reader<'_>| reader.u32().map_err(bad);
-    match Tag::of(number(&mut reader)?) {
-        Some(Tag::Pool) => {
-            let number = number(&mut reader)?;
-            let len = usize::try_from(reader.u64().map_err(bad)?).map_err(|_| bad(BadMessage))?;
-            let is_own = reader.u32().map_err(bad)? == 1;
-            Ok(Given::Pool { number, len, is_own, file })
+    let bad = || io::Error::other(RelayError::Bad);
+    let file = File::from(file.ok_or_else(bad)?);
+    match whole(message).map_err(|_| bad())? {
+        ToChild::Pool { number, len, is_own } => {
+            Ok(Given::Pool { number, len: usize::try_from(len).map_err(|_| bad())?, is_own, file })
         }
-        Some(Tag::Plugin) => {
-            let id = number(&mut reader)?;
-            let path = PathBuf::from(OsStr::from_bytes(reader.bytes().map_err(bad)?));
-            Ok(Given::Plugin { id, path, image: file })
+        ToChild::Plugin { id, path } => {
+            Ok(Given::Plugin { id, path: PathBuf::from(OsString::from_vec(path)), image: file })
         }
-        Some(Tag::Lane) => Ok(Given::Lane(LinkLane(Lane::map(&file)?))),
-        Some(Tag::Hello) | None => Err(bad(BadMessage)),
+        ToChild::Lane => Ok(Given::Lane(LinkLane(Lane::map(&file)?))),
+        ToChild::Hello { .. } => Err(bad()),
     }
-}
-
-fn hello(message: &[u8]) -> Result<Settings, BadMessage> {
-    let mut reader = Reader(message);
-    let (tag, protocol, threads) = (reader.u32()?, reader.u32()?, reader.u32()?);
-    if tag != Tag::Hello as u32 || protocol != PROTOCOL {
-        return Err(BadMessage);
-    }
-    let memory_bytes = reader.u64()?;
-    let deny = Deny { network: reader.u32()? == 1, new_files: reader.u32()? == 1 };
-    Ok(Settings { threads, memory_bytes, deny })
 }
 
 /// State of a link's connection.

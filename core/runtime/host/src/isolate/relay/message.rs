@@ -3,7 +3,8 @@
 use panoscope_abi::{self as abi, BufferId};
 
 use super::RelayError;
-use crate::isolate::wire::{Kind, Reader, Writer};
+use crate::isolate::wire::lane::{self, CopyWanted, Kind, Made, Reserved, TickDone, TickRequest, after_deferred};
+use crate::isolate::wire::{Reader, Wire, put_bytes, whole};
 
 /// The bytes of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,64 +32,57 @@ impl Bytes {
     }
 }
 
-/// The request of a tick.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Request {
-    /// The inputs that are not empty.
-    pub inputs: Vec<Bytes>,
-    /// Buffers for outputs, of which the node makes new frames: pool and offset.
-    pub reserved: Vec<(u32, u64)>,
-    /// The host's clock and its system's clock at that moment, ns.
-    pub clock: Option<(i64, i64)>,
-    /// Offset of the second of these in the message: eight bytes, little-endian.
-    pub clock_position: usize,
-}
+/// The request of a tick that a host sends to a link.
+#[derive(Clone, Debug)]
+pub struct Request(TickRequest);
 
-/// Decodes the request of a tick that a host sends to a link.
-///
-/// # Errors
-/// It is malformed.
-pub fn request(message: &[u8]) -> Result<Request, RelayError> {
-    let mut reader = Reader(message);
-    let mut request = Request::default();
-    reader.u32()?;
-    reader.tick()?;
-    reader.u64()?;
-    reader.u64()?;
-    if reader.u32()? == 1 {
-        reader.params()?;
+impl Request {
+    /// Decodes it.
+    ///
+    /// # Errors
+    /// It is malformed.
+    pub fn read(message: &[u8]) -> Result<Self, RelayError> {
+        Ok(Self(whole(message)?))
     }
-    for _ in 0..reader.count(8)? {
-        reader.u64()?;
+
+    /// The inputs that are not empty.
+    pub fn inputs(&self) -> impl Iterator<Item = Bytes> {
+        let uses = self.0.uses.iter().chain(std::iter::repeat(&0));
+        let all = self.0.inputs.iter().zip(uses).filter(|(frame, _)| !frame.is_empty());
+        all.map(|(frame, uses)| Bytes { uses: *uses, ..Bytes::of(frame) })
     }
-    let inputs = reader.count(1)?;
-    let mut all = Vec::with_capacity(inputs);
-    for _ in 0..inputs {
-        all.push(reader.frame()?);
+
+    /// Buffers for outputs, of which the node makes new frames: pool and offset.
+    pub fn reserved(&self) -> impl Iterator<Item = (u32, u64)> {
+        self.0
+            .stock
+            .iter()
+            .filter(|reserved| reserved.len > 0)
+            .map(|Reserved { buffer, .. }| (buffer.pool, buffer.offset))
     }
-    for _ in 0..reader.count(20)? {
-        let (buffer, size) = (reader.buffer()?, reader.u64()?);
-        if size > 0 {
-            request.reserved.push((buffer.pool, buffer.offset));
-        }
+
+    /// The host's clock minus its system's, ns, if the host sends them. Its system's clock is then moved by `by_ns` to
+    /// that of the other machine.
+    pub fn move_clock(&mut self, by_ns: i64) -> Option<i64> {
+        let clock = self.0.clock.as_mut()?;
+        let difference_ns = clock.host_ns.saturating_sub(clock.system_ns);
+        clock.system_ns = clock.system_ns.saturating_add(by_ns);
+        Some(difference_ns)
     }
-    let knows_clock = reader.u32()? == 1;
-    let clock_ns = reader.i64()?;
-    request.clock_position = message.len() - reader.0.len();
-    let system_ns = reader.i64()?;
-    request.clock = knows_clock.then_some((clock_ns, system_ns));
-    for _ in 0..reader.count(20)? {
-        reader.u32()?;
-        reader.u64()?;
-        reader.u64()?;
+
+    /// Replaces each path parameter `p` by `path(p)`.
+    ///
+    /// # Errors
+    /// A path is not UTF-8.
+    pub fn replace_paths(&mut self, path: impl Fn(&str) -> String) -> Result<(), RelayError> {
+        Ok(self.0.params.as_mut().map_or(Ok(()), |params| params.replace_paths(path))?)
     }
-    for frame in all {
-        let uses = reader.u32()?;
-        if !frame.is_empty() {
-            request.inputs.push(Bytes { uses, ..Bytes::of(&frame) });
-        }
+
+    /// Encodes it in place of a message.
+    pub fn write(&self, message: &mut Vec<u8>) {
+        message.clear();
+        self.0.put(message);
     }
-    Ok(request)
 }
 
 /// Whether a result reports success.
@@ -96,9 +90,7 @@ pub fn request(message: &[u8]) -> Result<Request, RelayError> {
 /// # Errors
 /// It is malformed.
 pub fn succeeded(done: &[u8]) -> Result<bool, RelayError> {
-    let mut reader = Reader(done);
-    reader.bytes()?;
-    Ok(reader.i32()? == abi::STATUS_OK)
+    Ok(after_deferred(done)?.take::<abi::Status>()? == abi::STATUS_OK)
 }
 
 /// The outputs that are not empty, in the result of a tick.
@@ -106,18 +98,10 @@ pub fn succeeded(done: &[u8]) -> Result<bool, RelayError> {
 /// # Errors
 /// It is malformed.
 pub fn outputs(done: &[u8]) -> Result<Vec<Bytes>, RelayError> {
-    let mut reader = Reader(done);
-    reader.bytes()?;
-    reader.i32()?;
-    reader.tick()?;
-    let mut outputs = Vec::new();
-    for _ in 0..reader.count(1)? {
-        let frame = reader.frame()?;
-        if !frame.is_empty() {
-            outputs.push(Bytes::of(&frame));
-        }
-    }
-    Ok(outputs)
+    let mut reader = after_deferred(done)?;
+    reader.take::<abi::Status>()?;
+    let made = reader.take::<TickDone>()?.outputs;
+    Ok(made.iter().filter(|frame| !frame.is_empty()).map(Bytes::of).collect())
 }
 
 /// The frame that the host made for a node, if it made one, in the answer to [`super::kind::ALLOC`] or
@@ -126,8 +110,7 @@ pub fn outputs(done: &[u8]) -> Result<Vec<Bytes>, RelayError> {
 /// # Errors
 /// It is malformed.
 pub fn answered(answer: &[u8]) -> Result<Option<Bytes>, RelayError> {
-    let mut reader = Reader(answer);
-    let (status, frame) = (reader.i32()?, reader.frame()?);
+    let Made { status, frame } = whole(answer)?;
     Ok((status == abi::STATUS_OK && !frame.is_empty()).then(|| Bytes::of(&frame)))
 }
 
@@ -136,10 +119,7 @@ pub fn answered(answer: &[u8]) -> Result<Option<Bytes>, RelayError> {
 /// # Errors
 /// It is malformed.
 pub fn made_copy(message: &[u8]) -> Result<Bytes, RelayError> {
-    let mut reader = Reader(message);
-    reader.bytes()?;
-    reader.u32()?;
-    Ok(Bytes::of(&reader.frame()?))
+    Ok(Bytes::of(&after_deferred(message)?.take::<CopyWanted>()?.frame))
 }
 
 /// Inserts the arrival of a tick's light, ns of the host's clock, before the functions that the process deferred. An
@@ -151,94 +131,57 @@ pub fn arrived(message: &[u8], arrived_ns: i64, out: &mut Vec<u8>) -> Result<(),
     let mut reader = Reader(message);
     let written = reader.bytes()?;
     let mut deferred = Vec::with_capacity(written.len() + 12);
-    Writer(&mut deferred).u32(Kind::SetArrived as u32).i64(arrived_ns);
+    (Kind::SetArrived as u32).put(&mut deferred);
+    arrived_ns.put(&mut deferred);
     deferred.extend_from_slice(written);
     out.clear();
-    Writer(out).bytes(&deferred);
+    put_bytes(&deferred, out);
     out.extend_from_slice(reader.0);
     Ok(())
 }
 
-/// Content of a request to open an instance.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Open {
-    /// Number of the plugin.
-    pub plugin: u32,
+/// The request to open an instance that a host sends to a link.
+#[derive(Clone, Debug)]
+pub struct Open(lane::Open);
+
+impl Open {
+    /// Decodes it.
+    ///
+    /// # Errors
+    /// It is malformed.
+    pub fn read(message: &[u8]) -> Result<Self, RelayError> {
+        let open = whole::<lane::Open>(message)?;
+        let names = |at: &u32| open.params.text(*at).is_some();
+        if open.reads.iter().all(names) { Ok(Self(open)) } else { Err(RelayError::Bad) }
+    }
+
     /// The node's name.
-    pub node: String,
+    pub fn node(&self) -> &str {
+        &self.0.node
+    }
+
     /// Folder of the graph.
-    pub graph_dir: String,
+    pub fn graph_dir(&self) -> &str {
+        &self.0.graph_dir
+    }
+
     /// Files that the node reads according to its declaration, absolute.
-    pub files: Vec<String>,
-}
+    pub fn files(&self) -> impl Iterator<Item = &str> {
+        self.0.reads.iter().filter_map(|at| self.0.params.text(*at)).filter(|text| !text.is_empty())
+    }
 
-/// Decodes the request to open an instance that a host sends to a link.
-///
-/// # Errors
-/// It is malformed.
-pub fn open(message: &[u8]) -> Result<Open, RelayError> {
-    let mut reader = Reader(message);
-    let plugin = reader.u32()?;
-    for _ in 0..3 {
-        reader.u32()?;
+    /// Replaces the folder of the graph, and each path parameter `p` by `path(p)`.
+    ///
+    /// # Errors
+    /// A path is not UTF-8.
+    pub fn replace_paths(&mut self, graph_dir: String, path: impl Fn(&str) -> String) -> Result<(), RelayError> {
+        self.0.graph_dir = graph_dir;
+        Ok(self.0.params.replace_paths(path)?)
     }
-    reader.u64()?;
-    let (node, graph_dir) = (reader.text()?.to_owned(), reader.text()?.to_owned());
-    let params = reader.params()?;
-    let mut files = Vec::new();
-    for _ in 0..reader.count(4)? {
-        let value = params.values.get(reader.u32()? as usize).ok_or(RelayError::Bad)?;
-        // SAFETY: the text lives in `params`.
-        if let Some(text) = unsafe { value.text.text() }.filter(|text| !text.is_empty()) {
-            files.push(text.to_owned());
-        }
-    }
-    Ok(Open { plugin, node, graph_dir, files })
-}
 
-/// The request to open an instance or that of a tick, with replaced paths: `graph_dir` for the folder of the graph, and
-/// `path(p)` for each path parameter `p`.
-///
-/// # Errors
-/// The message is malformed.
-pub fn with_paths(
-    kind: u32,
-    message: &[u8],
-    graph_dir: &str,
-    path: impl Fn(&str) -> String,
-) -> Result<Vec<u8>, RelayError> {
-    let mut reader = Reader(message);
-    let mut out = Vec::with_capacity(message.len() + 256);
-    if kind == Kind::Open as u32 {
-        for _ in 0..4 {
-            reader.u32()?;
-        }
-        reader.u64()?;
-        reader.bytes()?;
-        out.extend_from_slice(&message[..message.len() - reader.0.len()]);
-        reader.bytes()?;
-        Writer(&mut out).bytes(graph_dir.as_bytes());
-    } else {
-        reader.u32()?;
-        reader.tick()?;
-        reader.u64()?;
-        reader.u64()?;
-        if reader.u32()? != 1 {
-            return Ok(message.to_vec());
-        }
-        out.extend_from_slice(&message[..message.len() - reader.0.len()]);
+    /// Encodes it in place of a message.
+    pub fn write(&self, message: &mut Vec<u8>) {
+        message.clear();
+        self.0.put(message);
     }
-    let mut params = reader.params()?;
-    let mut texts: Vec<String> = Vec::with_capacity(params.values.len());
-    for value in params.values.iter().filter(|value| value.kind == abi::PARAM_PATH) {
-        // SAFETY: the text lives in `params`.
-        texts.push(path(unsafe { value.text.text() }.ok_or(RelayError::Bad)?));
-    }
-    for (value, text) in params.values.iter_mut().filter(|value| value.kind == abi::PARAM_PATH).zip(&texts) {
-        value.text = abi::Str::borrow(text);
-    }
-    // SAFETY: the values with all that they point to live in `params` and `texts`.
-    unsafe { Writer(&mut out).params(params.values.as_ptr(), params.values.len()) };
-    out.extend_from_slice(reader.0);
-    Ok(out)
 }

@@ -2,7 +2,7 @@
 //!
 //! To the host, a [`Link`] is the process of the group: it is started, receives pools, plugins, lanes and requests like
 //! the process of any group. To the process on the other machine, [`Served`] is the host. The code in between carries
-//! each message of a lane to the other side, together with the bytes of frames that the other side lacks; [`request`]
+//! each message of a lane to the other side, together with the bytes of frames that the other side lacks; [`Request`]
 //! and [`outputs`] name them. Pools have the same numbers and offsets on both sides.
 
 mod link;
@@ -11,14 +11,13 @@ pub mod messages;
 mod served;
 
 pub use self::link::{Given, Link, LinkLane, LinkNumbers};
-pub use self::message::{
-    Bytes, Open, Request, answered, arrived, made_copy, open, outputs, request, succeeded, with_paths,
-};
-pub use self::served::{ServeError, Served, ServedLane, Settings};
+pub use self::message::{Bytes, Open, Request, answered, arrived, made_copy, outputs, succeeded};
+pub use self::served::{ServeError, Served, ServedLane};
+pub use super::wire::lane::Settings;
 
 /// Kinds of messages that the code in between interprets; others pass unchanged.
 pub mod kind {
-    use crate::isolate::wire::Kind;
+    use crate::isolate::wire::lane::Kind;
 
     /// The request of a tick.
     pub const PROCESS: u32 = Kind::Process as u32;

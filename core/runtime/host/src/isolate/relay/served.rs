@@ -6,23 +6,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use panoscope_engine::isolation::{Deny, GroupSettings};
+use panoscope_engine::isolation::GroupSettings;
 
 use super::RelayError;
 use crate::isolate::host::{Launch, LaunchError, NodeLane, Process, Totals};
 use crate::isolate::lane::{MAX_MESSAGE_BYTES, Side};
-use crate::isolate::wire::Kind;
-
-/// Settings of a group.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Settings {
-    /// Threads of its parallel loops.
-    pub threads: u32,
-    /// Maximum number of bytes of private memory.
-    pub memory_bytes: u64,
-    /// Denied permissions of its nodes.
-    pub deny: Deny,
-}
+use crate::isolate::wire::lane::{Kind, Settings};
 
 /// A process of isolated nodes that did not start.
 #[derive(Debug, thiserror::Error)]
