@@ -52,6 +52,35 @@ pub fn document(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
+/// A graph that writes rendered stereo frames' registration and wide image; `isolate` is more TOML, such as a table `[isolate]`.
+pub fn panorama(folder: &Path, isolate: &str) -> String {
+    let folder = folder.display();
+    format!(
+        r#"
+mode = "batch"
+plugins = ["phantom", "stitch", "sinks"]
+[nodes.scope]
+type = "phantom"
+params = {{ scene = "bowel", seed = 7, width = 320, height = 240 }}
+[nodes.register]
+type = "register_surf"
+inputs = {{ left = "scope.left", right = "scope.right" }}
+[nodes.wide]
+type = "composite"
+inputs = {{ left = "scope.left", right = "scope.right", homography = "register.homography" }}
+[nodes.pictures]
+type = "write_raw"
+inputs = {{ image = "wide.panorama" }}
+params = {{ path = "{folder}/wide_{{seq}}.raw" }}
+[nodes.maps]
+type = "write_table"
+inputs = {{ homography = "register.homography", roi = "register.roi_left" }}
+params = {{ path = "{folder}/maps.jsonl" }}
+{isolate}
+"#
+    )
+}
+
 /// Whether Python with NumPy is installed; reports why a test is skipped.
 pub fn has_python() -> bool {
     match std::process::Command::new("python3").args(["-c", "import numpy"]).output() {

@@ -10,7 +10,7 @@ use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
 use panoscope_record::{Digests, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
-use panoscope_tests::{files, isolated_processes, load, ready, run, scratch, wait_until};
+use panoscope_tests::{files, isolated_processes, load, panorama, ready, run, scratch, wait_until};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -35,35 +35,6 @@ fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     TESTS.lock().unwrap_or_else(PoisonError::into_inner).insert(this_thread());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Rendered stereo frames, their registration and the wide image, all of them written.
-fn panorama(folder: &Path, isolate: &str) -> String {
-    let folder = folder.display();
-    format!(
-        r#"
-mode = "batch"
-plugins = ["phantom", "stitch", "sinks"]
-[nodes.scope]
-type = "phantom"
-params = {{ scene = "bowel", seed = 7, width = 320, height = 240 }}
-[nodes.register]
-type = "register_surf"
-inputs = {{ left = "scope.left", right = "scope.right" }}
-[nodes.wide]
-type = "composite"
-inputs = {{ left = "scope.left", right = "scope.right", homography = "register.homography" }}
-[nodes.pictures]
-type = "write_raw"
-inputs = {{ image = "wide.panorama" }}
-params = {{ path = "{folder}/wide_{{seq}}.raw" }}
-[nodes.maps]
-type = "write_table"
-inputs = {{ homography = "register.homography", roi = "register.roi_left" }}
-params = {{ path = "{folder}/maps.jsonl" }}
-{isolate}
-"#
-    )
 }
 
 #[test]

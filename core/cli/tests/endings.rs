@@ -196,6 +196,19 @@ fn exit_code_and_last_line_tell_what_a_run_came_to() {
 }
 
 #[test]
+fn runs_with_the_same_report_do_not_disturb_each_other() {
+    let folder = folder("same_report");
+    let graph = graph_in("batch", &folder, "harm = \"nothing\"");
+    let (graph, report) = (graph.to_str().expect("UTF-8"), folder.join("report.json"));
+    // What another run is just writing, under the name that all runs once used.
+    std::fs::create_dir_all(folder.join("report.json.part")).expect("made");
+    let ran = run(&["run", graph, "--frames", "5", "--headless", "--report", report.to_str().expect("UTF-8")]);
+    assert_eq!(ran.status.code(), Some(0), "{}", ran.all());
+    let text = std::fs::read_to_string(&report).expect("the report");
+    serde_json::from_str::<serde_json::Value>(&text).expect("a complete report");
+}
+
+#[test]
 fn a_node_that_may_be_bypassed_is_a_warning() {
     let folder = folder("bypass");
     let graph = graph_in("batch", &folder, "harm = \"error\"");

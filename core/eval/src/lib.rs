@@ -8,6 +8,7 @@
 
 pub mod bench;
 pub mod calibration;
+mod canvas;
 mod error;
 pub mod eval;
 pub mod figures;

@@ -4,6 +4,8 @@ use panoscope_abi::Calibration;
 use panoscope_base::packet;
 use panoscope_engine::memory::FrameRef;
 
+use crate::error::{Context, EvalError, Result};
+
 /// A packet of type `table`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
@@ -20,6 +22,23 @@ impl Table {
         let values: Vec<f64> = table.values().collect();
         let rows = values.chunks_exact(table.columns().max(1)).map(<[f64]>::to_vec).collect();
         Some(Self { names: table.names().map(str::to_owned).collect(), rows })
+    }
+
+    /// Reads the table of an evaluating node from its newest packet.
+    ///
+    /// # Errors
+    /// There is no packet, or it is not a complete table.
+    pub fn of_judge(packet: Option<&FrameRef>) -> Result<Self> {
+        let packet = packet.context("the evaluating node received no packets")?;
+        Self::read(packet.bytes()).context("the table of the evaluating node is malformed")
+    }
+
+    /// All values of a column; `table` names whose table it is.
+    ///
+    /// # Errors
+    /// The column is missing.
+    pub fn required(&self, table: &'static str, name: &str) -> Result<Vec<f64>> {
+        self.column(name).ok_or_else(|| EvalError::Column { table, column: name.to_owned() })
     }
 
     /// All values of a column.

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use crate::error::{Context, FileAction, OnFile, Result};
+use crate::canvas::Canvas;
+use crate::error::Result;
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{self, Color};
 
@@ -40,6 +41,13 @@ pub struct Series {
     pub color: usize,
     /// Positions; values that are not finite count as missing.
     pub points: Vec<(f64, f64)>,
+}
+
+impl Series {
+    /// A series of these points.
+    pub fn new(name: impl Into<String>, style: Style, color: usize, points: Vec<(f64, f64)>) -> Self {
+        Self { name: name.into(), style, color, points }
+    }
 }
 
 /// One chart.
@@ -197,15 +205,12 @@ fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
 pub fn save(path: &Path, charts: &[Chart]) -> Result<()> {
     let columns = charts.len().clamp(1, 2);
     let (width, height) = (SIZE.0 * columns, SIZE.1 * charts.len().max(1).div_ceil(columns));
-    let mut bgr = BACK.repeat(width * height);
-    let mut out = ViewMut::new(&mut bgr, width, height, 3);
+    let mut canvas = Canvas::new(width, height, BACK);
     for (index, one) in charts.iter().enumerate() {
         let origin = ((index % columns * SIZE.0) as f32, (index / columns * SIZE.1) as f32);
-        chart(&mut out, origin, one);
+        chart(&mut canvas.view(), origin, one);
     }
-    bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
-    let image = image::RgbImage::from_raw(width as u32, height as u32, bgr).context("a picture of another size")?;
-    image.save(path).on_file(FileAction::Write, path)
+    canvas.save(path)
 }
 
 #[cfg(test)]
@@ -214,7 +219,7 @@ mod tests {
 
     #[test]
     fn words_stand_where_numbers_would_and_no_number_between_them() {
-        let series = Series { name: String::new(), style: Style::Dots, color: 0, points: vec![(0.0, 3.0), (1.0, 4.0)] };
+        let series = Series::new("", Style::Dots, 0, vec![(0.0, 3.0), (1.0, 4.0)]);
         let words = vec![(0.0, "census".to_owned()), (1.0, "absolute".to_owned())];
         let of_words = along(&Chart { series: vec![series.clone()], words: words.clone(), ..Chart::default() });
         assert_eq!((of_words.ends, of_words.marks), ((-0.5, 1.5), words));
@@ -226,7 +231,7 @@ mod tests {
     fn a_logarithmic_axis_has_its_marks_at_ones_twos_and_fives_or_at_powers_of_ten() {
         let chart = |values: &[f64]| {
             let points = values.iter().map(|v| (0.0, *v)).collect();
-            let series = vec![Series { name: String::new(), style: Style::Line, color: 0, points }];
+            let series = vec![Series::new("", Style::Line, 0, points)];
             upward(&Chart { series, log: true, ..Chart::default() })
         };
         let words = |values: &[f64]| chart(values).marks.into_iter().map(|(_, words)| words).collect::<Vec<_>>();

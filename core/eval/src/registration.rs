@@ -5,15 +5,24 @@ use std::path::Path;
 use panoscope_engine::memory::FrameRef;
 use panoscope_graph::{Catalog, GraphText};
 
-use crate::error::{Context, EvalError, Result};
+use crate::error::{Context, Result};
 use crate::inputs::wiring::{JudgeInputs, Wiring};
 use crate::packets::Table;
-use crate::run::{self, Pace, Plan, RunOutput};
+use crate::run::{self, Plan, RunOutput};
 use crate::session::Session;
 use crate::statistics::{finite, mean, rms};
 
 /// Code of a fresh registration in the evaluating node's table.
-const FRESH: f64 = 0.0;
+pub const FRESH: f64 = 0.0;
+
+/// Whether a registration is right: its alignment error is at most twice that of the best plane, plus 6 px. NaN is not
+/// right.
+pub fn is_right(align_px: f64, floor_px: f64) -> bool {
+    align_px <= WRONG.0 * floor_px + WRONG.1
+}
+
+/// Multiple of the best plane's error, and px added to it, beyond which a registration is wrong.
+pub const WRONG: (f64, f64) = (2.0, 6.0);
 
 /// Measures of one pair of views; NaN without ground truth.
 #[derive(Clone, Debug)]
@@ -49,8 +58,7 @@ pub struct Registration {
 /// # Errors
 /// A column is missing.
 pub fn registration(rows: &Table) -> Result<Registration> {
-    let column =
-        |name: &str| rows.column(name).ok_or_else(|| EvalError::Column { table: "the table", column: name.to_owned() });
+    let column = |name: &str| rows.required("the table", name);
     let state = column("state")?;
     let fresh = state.iter().filter(|s| **s == FRESH).count();
     Ok(Registration {
@@ -112,14 +120,10 @@ pub fn run_judged(
     if judged == JudgeInputs::Pictures {
         ports.extend(wiring.composites.iter().map(|composite| (composite.id.as_str(), "panorama")));
     }
-    let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
+    let plan = Plan { text: &text, path, frames: Some(frames), ports: &ports, ..Plan::default() };
     let mut output = run::run(session, &plan)?;
     let panoramas = output.packets.split_off(names.len());
-    let mut tables = Vec::new();
-    for packet in &output.packets {
-        let bytes = packet.as_ref().context("the evaluating node received no packets")?.bytes();
-        tables.push(Table::read(bytes).context("the table of the evaluating node is malformed")?);
-    }
+    let tables = output.packets.iter().map(|packet| Table::of_judge(packet.as_ref())).collect::<Result<_>>()?;
     Ok(JudgedRun { tables, panoramas, output })
 }
 

@@ -10,7 +10,7 @@ use crate::figures::Figure;
 use crate::inputs::scene::rectified_phantom;
 use crate::packets::{Table, floats};
 use crate::plot::{self, Chart, Series, Style};
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Plan};
 use crate::session::Session;
 use crate::statistics::percentile;
 
@@ -211,7 +211,7 @@ impl Ruler {
     pub fn plot(&self, path: &Path) -> Result<()> {
         let pair = |title: &str, all: &[Measured]| {
             let sides = all.iter().map(|m| (m.true_mm, m.true_mm)).collect();
-            let line = Series { name: "true".to_owned(), style: Style::Line, color: 2, points: sides };
+            let line = Series::new("true", Style::Line, 2, sides);
             let bars =
                 all.iter().flat_map(|m| [(m.true_mm, m.found_mm - m.stated_mm), (m.true_mm, m.found_mm + m.stated_mm)]);
             let dots = all.iter().map(|m| (m.true_mm, m.found_mm)).collect();
@@ -221,17 +221,10 @@ impl Ruler {
                 y_label: "measured, mm".to_owned(),
                 series: vec![
                     line,
-                    Series { name: String::new(), style: Style::Bars, color: 0, points: bars.collect() },
-                    Series {
-                        name: "measured, with its stated error".to_owned(),
-                        style: Style::Dots,
-                        color: 0,
-                        points: dots,
-                    },
+                    Series::new("", Style::Bars, 0, bars.collect()),
+                    Series::new("measured, with its stated error", Style::Dots, 0, dots),
                 ],
-                from_zero: false,
-                log: false,
-                words: Vec::new(),
+                ..Chart::default()
             };
             let errors = all.iter().map(|m| (m.true_mm, m.found_mm - m.true_mm)).collect();
             let stated = |sign: f64| all.iter().map(|m| (m.true_mm, sign * m.stated_mm)).collect::<Vec<_>>();
@@ -240,17 +233,11 @@ impl Ruler {
                 x_label: "true, mm".to_owned(),
                 y_label: "measured - true, mm".to_owned(),
                 series: vec![
-                    Series {
-                        name: "stated".to_owned(),
-                        style: Style::Dots,
-                        color: 1,
-                        points: [stated(1.0), stated(-1.0)].concat(),
-                    },
-                    Series { name: "true error".to_owned(), style: Style::Dots, color: 0, points: errors },
+                    Series::new("stated", Style::Dots, 1, [stated(1.0), stated(-1.0)].concat()),
+                    Series::new("true error", Style::Dots, 0, errors),
                 ],
                 from_zero: true,
-                log: false,
-                words: Vec::new(),
+                ..Chart::default()
             };
             [values, off]
         };
@@ -260,5 +247,5 @@ impl Ruler {
 }
 
 pub(crate) fn plan<'a>(text: &'a str, ports: &'a [(&'a str, &'a str)]) -> Plan<'a> {
-    Plan { text, path: Path::new("eval.toml"), frames: Some(5), threads: 0, ports, pace: Pace::Free }
+    Plan { text, frames: Some(5), ports, ..Plan::default() }
 }

@@ -43,6 +43,12 @@ pub enum Pace {
     Alone,
 }
 
+impl Default for Plan<'_> {
+    fn default() -> Self {
+        Self { text: "", path: Path::new("eval.toml"), frames: None, threads: 0, ports: &[], pace: Pace::Free }
+    }
+}
+
 /// Results of a run.
 pub struct RunOutput {
     /// The newest packet of each requested port; `None` if there was none.

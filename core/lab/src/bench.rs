@@ -113,10 +113,15 @@ struct WholeGraph {
     given: Given,
 }
 
+/// A text that is not a size.
+#[derive(Debug, thiserror::Error)]
+#[error("write WIDTHxHEIGHT in px, as in 1920x1080")]
+struct NoSize;
+
 /// Reads a size in px, as in 1920x1080.
-fn size(text: &str) -> Result<(u32, u32), String> {
+fn size(text: &str) -> Result<(u32, u32), NoSize> {
     let numbers = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
-    numbers.ok_or_else(|| "write WIDTHxHEIGHT in px, as in 1920x1080".to_owned())
+    numbers.ok_or(NoSize)
 }
 
 /// Arguments of this bench.

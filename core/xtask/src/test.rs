@@ -37,7 +37,6 @@ const BELOW_PROGRAM: &[&str] = &[
     "panoscope-imaging",
     "panoscope-gpu",
     "panoscope-data",
-    "panoscope-tracking",
     "panoscope-arm-core",
     "xtask",
 ];

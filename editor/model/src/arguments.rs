@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::fs::Permissions;
+use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
+use panoscope_base::files;
 use panoscope_graph::{Arg, ArgKind, GraphOptions, GraphText, check};
 use panoscope_host::loader::Loader;
 use serde::{Deserialize, Serialize};
 
-use crate::disk;
 use crate::folding::opening;
 
 /// The file with remembered values.
@@ -245,7 +246,8 @@ pub fn remember(folder: &Path, graph: &Path, given: &GraphOptions) -> std::io::R
     entry.insert("args".to_owned(), args.into());
     all.insert(key(graph), entry.into());
     // An address may hold a password.
-    disk::replace(&folder.join(FILE), all.to_string().as_bytes(), Some(Permissions::from_mode(0o600)))
+    let mode = Some(Permissions::from_mode(0o600));
+    files::replace_with(&folder.join(FILE), mode, |file| file.write_all(all.to_string().as_bytes()))
 }
 
 #[cfg(test)]

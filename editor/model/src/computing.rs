@@ -39,7 +39,7 @@ enum ComputeError {
 struct Shared {
     quits: AtomicBool,
     percent: AtomicU8,
-    result: Mutex<Option<Result<Arc<Recording>, String>>>,
+    result: Mutex<Option<Result<Arc<Recording>, ComputeError>>>,
 }
 
 /// A computation in progress, or its result. Dropping it ends it.
@@ -63,7 +63,7 @@ impl Computation {
         let shared = Arc::<Shared>::default();
         let (for_thread, text) = (Arc::clone(&shared), request.graph.1.clone());
         let thread = std::thread::Builder::new().name("computing".to_owned()).spawn(move || {
-            let result = compute(&recording, request, &for_thread, &wake).map_err(|error| error.to_string());
+            let result = compute(&recording, request, &for_thread, &wake);
             *lock(&for_thread.result) = Some(result.map(Arc::new));
             wake();
         })?;
@@ -82,7 +82,7 @@ impl Computation {
 
     /// Why there are none.
     pub fn problem(&self) -> Option<String> {
-        lock(&self.shared.result).as_ref()?.as_ref().err().cloned()
+        lock(&self.shared.result).as_ref()?.as_ref().err().map(ToString::to_string)
     }
 
     /// Whether it is of this text.

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use panoscope_base::files;
 use panoscope_graph::{GraphOptions, installed};
 
-use crate::disk::{self, SaveError};
+use crate::disk::SaveError;
 use crate::document::Document;
 
 /// A name that no folder has: `name`, `name_2`, `name_3`...
@@ -39,7 +40,7 @@ pub fn save_as(document: &mut Document, destination: &Path) -> Result<(), SaveEr
     {
         let fail = |cause| SaveError { path: path.to_owned(), cause };
         std::fs::create_dir_all(folder(path)).map_err(fail)?;
-        disk::replace(path, text.as_bytes(), None).map_err(fail)?;
+        files::replace(path, text.as_bytes()).map_err(fail)?;
     }
     let moved: BTreeMap<PathBuf, PathBuf> = files.into_iter().map(|(from, to, _)| (from, to)).collect();
     document.move_to(destination, &moved);

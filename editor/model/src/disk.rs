@@ -1,7 +1,7 @@
 //! The graph file on disk: saves it atomically with a backup, and watches it for changes by other programs.
 
 use std::collections::HashMap;
-use std::fs::{self, File};
+use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use panoscope_base::files;
 use panoscope_engine::sync::lock;
 use panoscope_host::loader::Stamp;
 
@@ -39,9 +40,9 @@ pub fn save(path: &Path, text: &str) -> Result<(), SaveError> {
     let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let mode = fs::metadata(path).ok().map(|m| m.permissions());
     if let Ok(old) = fs::read(path) {
-        replace(&backup_of(path), &old, mode.clone()).map_err(fail)?;
+        files::replace_with(&backup_of(path), mode.clone(), |file| file.write_all(&old)).map_err(fail)?;
     }
-    replace(path, text.as_bytes(), mode).map_err(fail)
+    files::replace_with(path, mode, |file| file.write_all(text.as_bytes())).map_err(fail)
 }
 
 /// Reads the text of a file of at most `max_bytes`; `None` for a larger one, of which no more is read.
@@ -53,33 +54,6 @@ pub fn read_text(path: &Path, max_bytes: u64) -> std::io::Result<Option<String>>
         return Ok(None);
     }
     fs::read_to_string(path).map(Some)
-}
-
-/// Writes a file atomically: at any moment the complete old or the complete new file exists.
-///
-/// # Errors
-/// The file or its backup cannot be written; the file is unchanged.
-pub fn replace(path: &Path, bytes: &[u8], mode: Option<fs::Permissions>) -> std::io::Result<()> {
-    let mut part = path.as_os_str().to_owned();
-    part.push(format!(".{}.part", std::process::id()));
-    let part = PathBuf::from(part);
-    let written = (|| {
-        let mut file = File::create(&part)?;
-        if let Some(mode) = mode {
-            file.set_permissions(mode)?;
-        }
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        fs::rename(&part, path)
-    })();
-    if written.is_err() {
-        let _ = fs::remove_file(&part);
-        return written;
-    }
-    // Makes the rename survive a power failure. File systems that cannot sync a folder ensure this themselves.
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let _ = File::open(folder).and_then(|f| f.sync_all());
-    Ok(())
 }
 
 /// Polls whether another program changed the file.

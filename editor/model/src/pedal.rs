@@ -24,6 +24,15 @@ pub struct Binding<K, A> {
 /// The first mistake of a settings file.
 #[derive(Debug, thiserror::Error)]
 pub enum PedalError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    File(#[from] std::io::Error),
+    /// The file is too large.
+    #[error("it has more than {max_kib} KiB")]
+    TooLong {
+        /// The limit, KiB.
+        max_kib: u64,
+    },
     /// The file is not TOML.
     #[error("{problem}")]
     Syntax {

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use panoscope_base::files;
 use panoscope_graph::edit::EditError;
 use panoscope_graph::{Param, ParamKind, ParamValue, ValueError};
 use serde::{Deserialize, Serialize};
@@ -174,7 +175,7 @@ impl Presets {
     fn write(&mut self, list: Vec<Preset>) -> Result<(), PresetError> {
         let fail = |cause| PresetError::Write { path: self.path.clone(), cause };
         let text = text_of(&list).map_err(|error| fail(std::io::Error::other(error)))?;
-        disk::replace(&self.path, text.as_bytes(), None).map_err(fail)?;
+        files::replace(&self.path, text.as_bytes()).map_err(fail)?;
         self.list = list;
         Ok(())
     }

@@ -5,6 +5,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use panoscope_base::files;
 use serde::{Deserialize, Serialize};
 
 use crate::disk;
@@ -125,7 +126,7 @@ impl Snapshots {
         let path = self.folder.join(format!("snapshot_{number:04}.toml"));
         let fail = |cause| SnapshotError::Write { path: path.clone(), cause };
         let text = toml::to_string(&snapshot).map_err(|error| fail(std::io::Error::other(error)))?;
-        disk::replace(&path, text.as_bytes(), None).map_err(fail)?;
+        files::replace(&path, text.as_bytes()).map_err(fail)?;
         self.list.push(snapshot);
         Ok(number)
     }

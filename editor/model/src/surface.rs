@@ -10,6 +10,7 @@ use panoscope_imaging::stereo::SurfacePoint;
 use serde::{Deserialize, Serialize};
 
 use crate::pixels::Pixels;
+use crate::probe::Layout;
 
 /// The viewpoint on a surface, and the depth range that is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -140,20 +141,11 @@ pub fn cloud_of(frame: &abi::Frame, bytes: &[u8], confidence: Option<(&abi::Fram
     let all = (0..cloud.height()).flat_map(|row| (0..cloud.width()).map(move |column| (column, row)));
     let measured = |p: abi::CloudPoint| if p.is_measured() { [p.x_mm, p.y_mm, p.z_mm] } else { [f32::NAN; 3] };
     let xyz_mm = all.filter_map(|(x, y)| cloud.point(x, y)).map(measured).collect();
-    let of_size = confidence.filter(|(map, _)| (map.width, map.height) == (frame.width, frame.height));
-    let confidence = of_size.and_then(|(map, bytes)| plane(map, bytes)).unwrap_or_default();
+    let is_map =
+        |map: &abi::Frame| map.format == abi::FORMAT_F32 && (map.width, map.height) == (frame.width, frame.height);
+    let map = confidence.filter(|(map, _)| is_map(map)).and_then(|(map, bytes)| Layout::of(map, bytes, "confidence"));
+    let confidence = map.map(|map| map.first_channel()).unwrap_or_default();
     Some(Cloud { width: cloud.width(), height: cloud.height(), xyz_mm, confidence })
-}
-
-/// The numbers of a map, row by row; `None` when it has none or its description does not fit its bytes.
-fn plane(frame: &abi::Frame, bytes: &[u8]) -> Option<Vec<f32>> {
-    let (width, stride) = (frame.width as usize * size_of::<f32>(), frame.stride_bytes as usize);
-    if frame.format != abi::FORMAT_F32 {
-        return None;
-    }
-    let rows = (0..frame.height as usize).map(|y| bytes.get(y * stride..y * stride + width));
-    let rows: Option<Vec<&[u8]>> = rows.collect();
-    Some(rows?.concat().as_chunks().0.iter().map(|number| f32::from_le_bytes(*number)).collect())
 }
 
 /// Renders clouds; reuses its buffers.

@@ -125,7 +125,8 @@ fn work(own: &[OsString], arguments: &Arguments) -> i32 {
 /// Opens the window on the graph of another machine.
 fn attach(arguments: &Arguments, name: &str) -> i32 {
     let options = options(arguments).map_err(|error| error.to_string());
-    let opened = attaching::open(name, arguments.keys.clone()).and_then(|attachment| Ok((attachment, options?)));
+    let opened = attaching::open(name, arguments.keys.clone()).map_err(|error| error.to_string());
+    let opened = opened.and_then(|attachment| Ok((attachment, options?)));
     let (attachment, options) = match opened {
         Ok(opened) => opened,
         Err(error) => {

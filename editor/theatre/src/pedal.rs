@@ -91,9 +91,9 @@ impl Pedal {
     }
 }
 
-fn read(file: &Path) -> Result<Vec<PedalKey>, String> {
-    let text = disk::read_text(file, MAX_BYTES).map_err(|error| error.to_string())?;
-    parse(&text.ok_or("it has more than 64 KiB")?).map_err(|error| error.to_string())
+fn read(file: &Path) -> Result<Vec<PedalKey>, PedalError> {
+    let text = disk::read_text(file, MAX_BYTES)?;
+    parse(&text.ok_or(PedalError::TooLong { max_kib: MAX_BYTES >> 10 })?)
 }
 
 /// Reads the text of a settings file.

@@ -6,6 +6,7 @@
 
 use std::ffi::CString;
 use std::fs::Permissions;
+use std::io::Write;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -15,11 +16,11 @@ use std::time::{Duration, Instant};
 
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use panoscope_base::files;
 use panoscope_editor_model::numbered::{self, FolderError};
 use panoscope_editor_model::texts::text;
 use panoscope_graph::edit::{EditError, GraphEdit};
 
-use panoscope_editor_model::disk;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::pixels::Pixels;
 
@@ -112,7 +113,7 @@ fn name_of(file: &Path) -> String {
 fn write(file: &Path, bytes: &[u8]) -> Result<(), StillError> {
     // Only its owner may look at a patient.
     let mode = Permissions::from_mode(0o600);
-    disk::replace(file, bytes, Some(mode)).map_err(|cause| match cause.kind() {
+    files::replace_with(file, Some(mode), |out| out.write_all(bytes)).map_err(|cause| match cause.kind() {
         std::io::ErrorKind::StorageFull => StillError::DiskFull { name: name_of(file) },
         _ => StillError::Write { name: name_of(file), cause },
     })

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use nalgebra::Vector3;
 use panoscope_arm_core::control::{CameraGeometry, Controller, Goals, SeenTip};
 use panoscope_arm_core::pid::Gains;
+use panoscope_arm_core::tracking::real_time::RealTime;
 use panoscope_node::abi::{Calibration, Joints, Tip};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Validation, Value, error};
-use panoscope_tracking::real_time::RealTime;
 
 use crate::joints::{angles, arm_of, check_arm, packet};
 

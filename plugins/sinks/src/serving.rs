@@ -1,6 +1,6 @@
 //! Shared by nodes that serve video over the network: paths, and errors of listening.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 
 /// Why a stream cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -15,7 +15,7 @@ pub enum ServeError {
 }
 
 /// What is wrong with a path of a stream; `None` if nothing.
-pub fn path_problem(path: &str) -> Option<String> {
+fn path_problem(path: &str) -> Option<String> {
     if path.trim_matches('/').is_empty() {
         return Some("it is empty".to_owned());
     }
@@ -25,6 +25,23 @@ pub fn path_problem(path: &str) -> Option<String> {
         Some(other) => Some(format!("it contains `{other}`")),
         None => None,
     }
+}
+
+/// A wrong parameter: its name, what is wrong, and what to write.
+pub type Mistake = (&'static str, String, &'static str);
+
+/// What is wrong with the address to listen on and the path of a stream.
+pub fn address_mistakes(address: &str, path: &str) -> Vec<Mistake> {
+    let mut mistakes = Vec::new();
+    if address.parse::<IpAddr>().is_err() {
+        let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
+        mistakes.push(("address", format!("`{address}` is not an IP address"), help));
+    }
+    if let Some(problem) = path_problem(path) {
+        let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
+        mistakes.push(("path", format!("`{path}` is not a valid path of a stream: {problem}"), help));
+    }
+    mistakes
 }
 
 /// Converts a refusal of the system to an error that says what to do.

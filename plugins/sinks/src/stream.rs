@@ -6,15 +6,12 @@ mod push;
 mod server;
 pub(crate) mod worker;
 
-use std::net::IpAddr;
-
 use panoscope_media::{RateControl, VideoCodec};
 use panoscope_node::{
     AnyImage, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
 };
 
-use crate::picture::pixels_of;
-use crate::serving::path_problem;
+use crate::serving::{Mistake, address_mistakes};
 use codec::StreamCodec;
 use push::{Push, Target};
 use server::Mount;
@@ -73,18 +70,8 @@ impl Settings {
     }
 
     /// Each wrong parameter, with what is wrong and what to write.
-    fn mistakes(&self) -> Vec<(&'static str, String, &'static str)> {
-        let mut mistakes = Vec::new();
-        if self.serve {
-            if self.address.parse::<IpAddr>().is_err() {
-                let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
-                mistakes.push(("address", format!("`{}` is not an IP address", self.address), help));
-            }
-            if let Some(problem) = path_problem(&self.path) {
-                let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
-                mistakes.push(("path", format!("`{}` is not a valid path of a stream: {problem}", self.path), help));
-            }
-        }
+    fn mistakes(&self) -> Vec<Mistake> {
+        let mut mistakes = if self.serve { address_mistakes(&self.address, &self.path) } else { Vec::new() };
         if !self.push.is_empty()
             && let Err(problem) = Target::parse(&self.push)
         {
@@ -105,7 +92,6 @@ pub struct Stream {
     mount: Option<Mount>,
     worker: Worker,
     push: Option<Push>,
-    bgr: Vec<u8>,
     push_error: Option<String>,
 }
 
@@ -146,13 +132,11 @@ impl Node for Stream {
             push = Some(Push::start(target, payload, worker.fanout())?);
             open.info(&format!("sends to {}", params.push));
         }
-        Ok(Self { worker, mount, push, bgr: Vec::new(), push_error: None })
+        Ok(Self { worker, mount, push, push_error: None })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, _: &Settings) -> Result<()> {
-        if let Some(error) = self.worker.error() {
-            return Err(error.into());
-        }
+        self.worker.check()?;
         if let Some(push) = &self.push {
             let error = push.error();
             if error != self.push_error {
@@ -163,27 +147,11 @@ impl Node for Stream {
                 self.push_error = error;
             }
         }
-        let fanout = self.worker.fanout();
-        if fanout.has_consumers() {
-            let Some(pixels) = pixels_of(&input.image) else {
-                return Err(NodeError::new("the image has an unknown pixel format"));
-            };
-            if !pixels.to_bgr(&mut self.bgr) {
-                let name = pixels.name();
-                return Err(NodeError::new(format!(
-                    "a stream needs 8-bit images, but {name} arrived: put a `colorize` node in front"
-                )));
-            }
-            self.bgr = self.worker.offer(std::mem::take(&mut self.bgr), pixels.size());
-        }
+        self.worker.show(&input.image)?;
         if let Some(mount) = &self.mount {
             cx.metric("port", f64::from(mount.port()));
         }
-        let counts = fanout.counts();
-        cx.metric("consumers", counts.consumers as f64);
-        cx.metric("frames", counts.encoded as f64);
-        cx.metric("replaced", counts.replaced as f64);
-        cx.metric("held_back", counts.held_back as f64);
+        self.worker.report(cx, "consumers");
         Ok(())
     }
 
@@ -191,9 +159,6 @@ impl Node for Stream {
         self.mount = None;
         self.worker.stop();
         self.push = None;
-        match self.worker.error() {
-            Some(error) => Err(error.into()),
-            None => Ok(()),
-        }
+        Ok(self.worker.check()?)
     }
 }

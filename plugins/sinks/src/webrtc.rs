@@ -5,15 +5,12 @@ mod room;
 mod server;
 mod viewer;
 
-use std::net::IpAddr;
-
 use panoscope_media::{RateControl, VideoCodec};
 use panoscope_node::{
     AnyImage, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
 };
 
-use crate::picture::pixels_of;
-use crate::serving::path_problem;
+use crate::serving::address_mistakes;
 use crate::stream::worker::Worker;
 use room::Room;
 use server::Mount;
@@ -51,24 +48,6 @@ impl Settings {
     fn codec(&self) -> VideoCodec {
         VideoCodec::H264Baseline { rate: RateControl::Kbits(self.bitrate) }
     }
-
-    fn address(&self) -> Option<IpAddr> {
-        self.address.parse().ok()
-    }
-
-    /// Each wrong parameter, with what is wrong and what to write.
-    fn mistakes(&self) -> Vec<(&'static str, String, &'static str)> {
-        let mut mistakes = Vec::new();
-        if self.address().is_none() {
-            let help = "write 127.0.0.1, 0.0.0.0 or the address of a network card";
-            mistakes.push(("address", format!("`{}` is not an IP address", self.address), help));
-        }
-        if let Some(problem) = path_problem(&self.path) {
-            let help = "write letters, digits, `-`, `_`, `.` and `/`, such as `/wide`";
-            mistakes.push(("path", format!("`{}` is not a valid path of a stream: {problem}", self.path), help));
-        }
-        mistakes
-    }
 }
 
 /// Sends the newest frame to browsers. The graph never waits for the network or the encoder: a frame that arrives while the previous one is still
@@ -77,7 +56,6 @@ pub struct WebRtc {
     /// Dropped before the worker, so that no viewer joins a stream that ends.
     mount: Option<Mount>,
     worker: Worker,
-    bgr: Vec<u8>,
 }
 
 impl Node for WebRtc {
@@ -90,59 +68,37 @@ impl Node for WebRtc {
     type Params = Settings;
 
     fn validate(params: &Settings, check: &mut Validation<'_>) {
-        for (param, message, help) in params.mistakes() {
+        for (param, message, help) in address_mistakes(&params.address, &params.path) {
             check.error(param, message, help);
         }
     }
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
-        if let Some((param, message, help)) = params.mistakes().into_iter().next() {
+        if let Some((param, message, help)) = address_mistakes(&params.address, &params.path).into_iter().next() {
             return Err(NodeError::new(format!("`{param}`: {message}; {help}")));
         }
-        let address = params.address().ok_or_else(|| NodeError::new("`address` is not an IP address"))?;
+        let address = params.address.parse().map_err(|_| NodeError::new("`address` is not an IP address"))?;
         params.codec().check()?;
         viewer::check()?;
         let worker = Worker::start(params.codec(), params.key_interval)?;
         let room = Room::new(open.node_id(), worker.fanout());
         let mount = Mount::new(address, params.port, &params.path, room)?;
         open.info(&format!("serves {}", mount.url()));
-        Ok(Self { mount: Some(mount), worker, bgr: Vec::new() })
+        Ok(Self { mount: Some(mount), worker })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, _: &Settings) -> Result<()> {
-        if let Some(error) = self.worker.error() {
-            return Err(error.into());
-        }
-        let fanout = self.worker.fanout();
-        if fanout.has_consumers() {
-            let Some(pixels) = pixels_of(&input.image) else {
-                return Err(NodeError::new("the image has an unknown pixel format"));
-            };
-            if !pixels.to_bgr(&mut self.bgr) {
-                let name = pixels.name();
-                return Err(NodeError::new(format!(
-                    "a stream needs 8-bit images, but {name} arrived: put a `colorize` node in front"
-                )));
-            }
-            self.bgr = self.worker.offer(std::mem::take(&mut self.bgr), pixels.size());
-        }
+        self.worker.show(&input.image)?;
         if let Some(mount) = &self.mount {
             cx.metric("port", f64::from(mount.port()));
         }
-        let counts = fanout.counts();
-        cx.metric("viewers", counts.consumers as f64);
-        cx.metric("frames", counts.encoded as f64);
-        cx.metric("replaced", counts.replaced as f64);
-        cx.metric("held_back", counts.held_back as f64);
+        self.worker.report(cx, "viewers");
         Ok(())
     }
 
     fn finish(&mut self, _: &Finish<'_>) -> Result<()> {
         self.mount = None;
         self.worker.stop();
-        match self.worker.error() {
-            Some(error) => Err(error.into()),
-            None => Ok(()),
-        }
+        Ok(self.worker.check()?)
     }
 }

@@ -1,7 +1,7 @@
 //! `evaluate_proximity`: false and missed warnings, compared with exactly known distances.
 
+use panoscope_arm_core::tracking::proximity::{Judge, Rule, Verdict};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, error};
-use panoscope_tracking::proximity::{Judge, Rule, Verdict};
 
 use crate::proximity;
 

@@ -1,7 +1,7 @@
 //! The tip of jaws of which another instrument hides one.
 
 use nalgebra::{Vector2, Vector3};
-use panoscope_tracking::jaws::{Axis, Jaws};
+use panoscope_arm_core::tracking::jaws::{Axis, Jaws};
 
 use crate::shaft::TipFinder;
 

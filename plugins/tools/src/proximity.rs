@@ -4,13 +4,13 @@ use std::fmt::Write;
 use std::ops::Range;
 use std::time::Duration;
 
+use panoscope_arm_core::tracking::proximity::{Hysteresis, Lens, Rule, Surface};
+use panoscope_arm_core::tracking::real_time::RealTime;
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
     AnyImage, Bgr8, Cloud, Context, Depth, Detections, Image, Instances, List, Mask, Node, NodeInfo, Open, Params,
     Ports, Result, Slot, TableData, TextPacket, Value, error,
 };
-use panoscope_tracking::proximity::{Hysteresis, Lens, Rule, Surface};
-use panoscope_tracking::real_time::RealTime;
 
 use crate::silhouette::{Cues, Nearness, Silhouette};
 

@@ -1,17 +1,17 @@
 //! `skill`: measures how skilfully instruments are moved, during the operation (thesis, abstract). The measures are defined in
-//! `panoscope_tracking::skill`.
+//! `panoscope_arm_core::tracking::skill`.
 
 use std::collections::VecDeque;
 use std::fmt::Write;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
+use panoscope_arm_core::tracking::skill::measures::FIGURES;
+use panoscope_arm_core::tracking::skill::{Measures, Sample, Session, Settings};
 use panoscope_node::abi::{Pose, Tip};
 use panoscope_node::{
     Choice, Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Text, TextPacket,
     Value, error,
 };
-use panoscope_tracking::skill::measures::FIGURES;
-use panoscope_tracking::skill::{Measures, Sample, Session, Settings};
 
 /// Input ports of `skill`.
 #[derive(Ports)]

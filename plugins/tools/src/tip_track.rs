@@ -4,11 +4,11 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use panoscope_arm_core::tracking::kalman::Model;
+use panoscope_arm_core::tracking::real_time::RealTime;
+use panoscope_arm_core::tracking::tracker::{Known, Report, Rules, Tracker, UNKNOWN_CLASS};
 use panoscope_node::abi::{Calibration, Pose, Tip};
 use panoscope_node::{Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
-use panoscope_tracking::kalman::Model;
-use panoscope_tracking::real_time::RealTime;
-use panoscope_tracking::tracker::{Known, Report, Rules, Tracker, UNKNOWN_CLASS};
 
 /// Input ports of `tip_track`.
 #[derive(Ports)]

@@ -8,8 +8,8 @@ use panoscope_node::{
     Result, Slot, Validation, Value, View, error,
 };
 
-use panoscope_tracking::real_time::RealTime;
-use panoscope_tracking::tracker::UNKNOWN_CLASS;
+use panoscope_arm_core::tracking::real_time::RealTime;
+use panoscope_arm_core::tracking::tracker::UNKNOWN_CLASS;
 
 use crate::candidates::iou;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, direction_of_box, tip_of_box};

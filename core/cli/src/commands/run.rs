@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use panoscope_base::files;
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
@@ -514,8 +515,5 @@ fn write_report(path: &Path, report: &Reported) -> Result<()> {
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    fs::write(&part, text).with_context(|| format!("cannot write {}", path.display()))?;
-    fs::rename(&part, path).with_context(|| format!("cannot write {}", path.display()))
+    files::replace(path, text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -6,7 +6,7 @@
 //! - [`Parallel`]: how a kernel splits its work without knowing whose threads run it.
 //! - [`Simd`]: which instruction set a kernel may use.
 //! - [`onnx`]: which files hold the weights of a model, where ONNX Runtime is.
-//! - [`files`]: creates output files.
+//! - [`files`]: creates and replaces output files.
 //! - [`program`]: where the installation is that the running process belongs to.
 //! - [`secret`]: hides user and password of addresses; reads them from the environment.
 //! - [`web`]: which requests of a browser a server may answer.

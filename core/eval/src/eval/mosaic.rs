@@ -7,9 +7,9 @@
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
-use crate::error::{Context, EvalError, FileAction, OnFile, Result};
+use crate::error::{Context, EvalError, Result};
 use crate::figures::Figure;
-use crate::inputs::quoted;
+use crate::inputs::{create, quoted, wants};
 use crate::packets::Table;
 use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Pace, Plan};
@@ -30,27 +30,37 @@ const KEYFRAMES: u32 = 200;
 const RISE_MM: f64 = 1.5;
 
 /// Options of [`judge`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// The scenes to evaluate; if empty, all.
+    /// Scenes to run; repeatable. Default: all.
+    #[arg(long = "scene", value_name = "SCENE", value_parser = SCENES)]
     pub scenes: Vec<String>,
     /// Model of the maps between keyframes.
+    #[arg(long, default_value_t = Self::default().model, value_parser = ["homography", "affine", "similarity"])]
     pub model: String,
     /// Laps of the path; drift is measured over the last one.
+    #[arg(long, default_value_t = Self::default().laps, value_parser = clap::value_parser!(u32).range(1..=20))]
     pub laps: u32,
     /// Diameter of the path, mm.
+    #[arg(long, default_value_t = Self::default().path_mm)]
     pub path_mm: f64,
     /// Speed of the camera, mm/s.
+    #[arg(long, default_value_t = Self::default().speed_mm_s)]
     pub speed_mm_s: f64,
     /// Mean distance of the tissue, mm.
+    #[arg(long, default_value_t = Self::default().distance_mm)]
     pub distance_mm: f64,
     /// Width of the camera's images, px.
+    #[arg(long, default_value_t = Self::default().width, value_parser = clap::value_parser!(u32).range(160..=1920))]
     pub width: u32,
     /// Seed of the scenes.
+    #[arg(long, default_value_t = Self::default().seed)]
     pub seed: u64,
     /// Folder for the mosaics.
+    #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
-    /// PNG file for drift over time, a chart per scene.
+    /// Draws drift over time, a chart per scene.
+    #[arg(long, value_name = "FILE.png")]
     pub plot: Option<PathBuf>,
 }
 
@@ -126,14 +136,11 @@ struct JudgeInputs {
 
 impl JudgeInputs {
     fn column(&self, name: &str) -> Result<Vec<f64>> {
-        self.rows.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
+        self.rows.required("the judge's table", name)
     }
 
     fn own(&self, name: &str) -> Result<f64> {
-        let column = self
-            .own
-            .column(name)
-            .ok_or_else(|| EvalError::Column { table: "the mosaic's table", column: name.to_owned() })?;
+        let column = self.own.required("the mosaic's table", name)?;
         column.first().copied().context("the mosaic's table is empty")
     }
 
@@ -158,9 +165,9 @@ fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -
         text: &text,
         path: Path::new("eval_mosaic.toml"),
         frames: Some(options.frames()),
-        threads: 0,
         ports: &[("judge", "table"), ("mosaic", "table")],
         pace: Pace::Alone,
+        ..Plan::default()
     };
     let seen = run::run(session, &plan)?;
     let table = |index: usize| -> Result<Table> {
@@ -185,13 +192,10 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             return Err(EvalError::Options { reason: format!("{name} is {value}; it must be {low} to {high}") });
         }
     }
-    if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
-    }
+    create(options.pictures.as_deref())?;
     let mut figures = Vec::new();
     let mut charts = Vec::new();
-    let wanted = |scene: &&str| options.scenes.is_empty() || options.scenes.iter().any(|s| s == scene);
-    for scene in SCENES.into_iter().filter(wanted) {
+    for scene in SCENES.into_iter().filter(|scene| wants(&options.scenes, scene)) {
         check_cancelled(session)?;
         let closed = run(session, scene, true, options)?;
         let open = run(session, scene, false, options)?;
@@ -243,11 +247,9 @@ fn listed(
 
 /// Drift over time.
 fn chart(scene: &str, closed: &JudgeInputs, open: &JudgeInputs) -> Result<Chart> {
-    let series = |name: &str, color: usize, values: Vec<f64>| Series {
-        name: name.to_owned(),
-        style: Style::Line,
-        color,
-        points: values.into_iter().enumerate().map(|(tick, value)| (tick as f64 / RATE_HZ, value)).collect(),
+    let at = |(tick, value): (usize, f64)| (tick as f64 / RATE_HZ, value);
+    let series = |name: &str, color: usize, values: Vec<f64>| {
+        Series::new(name, Style::Line, color, values.into_iter().enumerate().map(at).collect())
     };
     Ok(Chart {
         title: format!("Mosaic on {scene}: where frames are put, beside the truth"),

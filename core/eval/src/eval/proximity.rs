@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use crate::error::{Context, EvalError, Result};
+use crate::error::{Context, Result};
 use crate::figures::Figure;
+use crate::inputs::wants;
 use crate::packets::Table;
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Plan};
 use crate::session::{Session, check_cancelled};
 
 /// Sources of the positions of tips, tissue and instruments.
@@ -16,19 +17,25 @@ use crate::session::{Session, check_cancelled};
 pub const CHAINS: [&str; 4] = ["exact", "matched", "found", "boxes"];
 
 /// Options of [`judge`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Sources of depth and instruments; if empty, all.
+    /// Sources of depth and instruments; repeatable. Default: all.
+    #[arg(long = "chain", value_name = "CHAIN", value_parser = CHAINS)]
     pub chains: Vec<String>,
-    /// The scenes to evaluate; if empty, all.
+    /// Scenes to run; repeatable. Default: both.
+    #[arg(long = "scene", value_name = "SCENE", value_parser = SCENES)]
     pub scenes: Vec<String>,
     /// Length of each run, s of media time.
+    #[arg(long, default_value_t = Self::default().seconds, value_parser = clap::value_parser!(u32).range(1..=3600))]
     pub seconds: u32,
     /// Width of the phantom's images, px.
+    #[arg(long, default_value_t = Self::default().width, value_parser = clap::value_parser!(u32).range(160..=1920))]
     pub width: u32,
     /// Mean distance of the tissue, mm: the nearer, the closer to it the instruments work.
+    #[arg(long, default_value_t = Self::default().distance_mm)]
     pub distance_mm: f64,
     /// Seed of scenes and movements.
+    #[arg(long, default_value_t = Self::default().seed)]
     pub seed: u64,
 }
 
@@ -99,7 +106,6 @@ inputs = {{ table = "near.table", truth = "scope.clearance" }}
 /// # Errors
 /// A run fails, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
-    let wants = |list: &[String], name: &str| list.is_empty() || list.iter().any(|n| n == name);
     let mut figures = Vec::new();
     for scene in SCENES.into_iter().filter(|scene| wants(&options.scenes, scene)) {
         for chain in CHAINS.into_iter().filter(|chain| wants(&options.chains, chain)) {
@@ -110,13 +116,11 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
                 text: &text,
                 path: Path::new(&path),
                 frames: Some(u64::from(options.seconds) * 30),
-                threads: 0,
                 ports: &[("judge", "table")],
-                pace: Pace::Free,
+                ..Plan::default()
             };
             let seen = run::run(session, &plan)?;
-            let packet = seen.packets[0].as_ref().context("the evaluating node received no packets")?;
-            let table = Table::read(packet.bytes()).context("the table of the evaluating node is malformed")?;
+            let table = Table::of_judge(seen.packets[0].as_ref())?;
             listed(&table, &format!("{chain}/{scene}"), options, &mut figures)?;
         }
     }
@@ -126,9 +130,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
 /// Figures of one run.
 fn listed(table: &Table, case: &str, options: &Options, figures: &mut Vec<Figure>) -> Result<()> {
     let value = |row: usize, name: &str| -> Result<f64> {
-        let column = table
-            .column(name)
-            .ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })?;
+        let column = table.required("the judge's table", name)?;
         column.get(row).copied().context("the judge's table has too few rows")
     };
     let margin = value(1, "margin_mm")?;

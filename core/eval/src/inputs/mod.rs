@@ -10,6 +10,8 @@ pub mod wiring;
 
 use std::path::{Path, PathBuf};
 
+use crate::error::{FileAction, OnFile, Result};
+
 pub use folder::Folder;
 
 /// Folders of the shipped models, relative to the repository and to an installed folder.
@@ -18,6 +20,19 @@ const MODELS: &str = "plugins/tools/models";
 /// Path of `name` in the first folder that has it.
 pub fn find(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
     folders.iter().map(|folder| folder.join(name)).find(|path| path.exists())
+}
+
+/// Whether `name` is among the wanted ones: all are if none is named.
+pub fn wants(wanted: &[String], name: &str) -> bool {
+    wanted.is_empty() || wanted.iter().any(|w| w == name)
+}
+
+/// Creates the folder of an option, if it is given.
+///
+/// # Errors
+/// The folder cannot be created.
+pub fn create(folder: Option<&Path>) -> Result<()> {
+    folder.map_or(Ok(()), |folder| std::fs::create_dir_all(folder).on_file(FileAction::Create, folder))
 }
 
 /// A shipped file by its path in the repository: in the current folder, next to the program or up to three folders

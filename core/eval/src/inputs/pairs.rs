@@ -8,7 +8,7 @@ use toml::{Table, Value};
 use crate::error::{Context, FileAction, OnFile, Result};
 use crate::inputs::Folder;
 use crate::packets;
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Plan};
 use crate::session::Session;
 
 /// Images and calibration of one rendered scene, in a separate folder.
@@ -43,9 +43,8 @@ impl Pairs {
                 text: &toml::to_string(&graph)?,
                 path: Path::new("bench.toml"),
                 frames: Some(count),
-                threads: 0,
                 ports: &[("scope", "calibration")],
-                pace: Pace::Free,
+                ..Plan::default()
             },
         )?;
         let packet = seen.packets.into_iter().next().flatten().context("the phantom returned no calibration")?;

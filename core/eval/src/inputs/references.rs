@@ -18,6 +18,25 @@ pub fn node_of(reference: &str) -> &str {
     reference.split_once('.').map_or(reference, |(node, _)| node)
 }
 
+/// Type of a node, without the name of its plugin.
+pub fn kind_of(node: &Value) -> &str {
+    let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// Makes a graph process every frame, without what only windows need, and returns its nodes; `None` if it has none.
+pub fn for_evaluation(graph: &mut Table) -> Option<&mut Table> {
+    graph.remove("preset");
+    graph.remove("editor");
+    graph.insert("mode".to_owned(), "batch".into());
+    graph.get_mut("nodes")?.as_table_mut()
+}
+
+/// Removes the nodes that write files or show a preview.
+pub fn remove_sinks(nodes: &mut Table) {
+    nodes.retain(|_, node| !kind_of(node).starts_with("write_") && kind_of(node) != "preview");
+}
+
 /// All outputs that a node reads.
 pub fn references(node: &Value) -> Vec<String> {
     let inputs = node.get("inputs").and_then(Value::as_table);

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use crate::error::{Result, bail};
-use crate::inputs::references::{from, node_of, references, upstream};
+use crate::inputs::references::{for_evaluation, from, kind_of, node_of, references, remove_sinks, upstream};
 use panoscope_graph::{Catalog, GraphText};
 use toml::{Table, Value};
 
@@ -83,11 +83,6 @@ fn camera_of(reference: &str) -> Option<u8> {
     }
 }
 
-fn is_type(node: &Value, wanted: &str) -> bool {
-    let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
-    name.rsplit('/').next() == Some(wanted)
-}
-
 impl Wiring {
     /// Parses a graph with its settings applied. The catalog tells which values are paths.
     ///
@@ -96,18 +91,11 @@ impl Wiring {
     pub fn of(source: &GraphText, catalog: &Catalog) -> Result<Self> {
         let mut graph: Table = source.flattened(catalog).parse()?;
         let name = source.name().to_owned();
-        graph.remove("preset");
-        graph.remove("editor");
-        graph.insert("mode".to_owned(), "batch".into());
-        let Some(nodes) = graph.get_mut("nodes").and_then(Value::as_table_mut) else { bail!("the graph has no nodes") };
-        let is_sink = |node: &Value| {
-            let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
-            name.rsplit('/').next().is_some_and(|name| name.starts_with("write_") || name == "preview")
-        };
-        nodes.retain(|_, node| !is_sink(node));
+        let Some(nodes) = for_evaluation(&mut graph) else { bail!("the graph has no nodes") };
+        remove_sinks(nodes);
         let mut composites = Vec::new();
         for (id, node) in nodes.iter() {
-            if !COMPOSITES.iter().any(|kind| is_type(node, kind)) {
+            if !COMPOSITES.iter().any(|kind| kind_of(node) == *kind) {
                 continue;
             }
             let input = |name: &str| node.get("inputs")?.get(name);
@@ -164,7 +152,7 @@ impl Wiring {
         // A graph may be wired in a circle.
         for _ in 0..self.graph.get("nodes").and_then(Value::as_table).map_or(0, Table::len) {
             let before = at.split_once('.').and_then(|(node, port)| {
-                let node = self.node(node).filter(|node| is_type(node, "rectify"))?;
+                let node = self.node(node).filter(|node| kind_of(node) == "rectify")?;
                 from(node.get("inputs")?.get(port)?).map(str::to_owned)
             });
             let Some(before) = before else { break };
@@ -177,7 +165,7 @@ impl Wiring {
     pub fn phantom(&self) -> Option<String> {
         let origin = self.origin(self.composites.first()?.views.first()?);
         let id = node_of(&origin);
-        is_type(self.node(id)?, "phantom").then(|| id.to_owned())
+        (kind_of(self.node(id)?) == "phantom").then(|| id.to_owned())
     }
 
     /// The same graph with other views: `source`, whose type has the outputs `ports`, replaces the source of the first
@@ -300,7 +288,7 @@ impl Wiring {
     ) -> (Vec<(&'static str, String)>, Table) {
         let origin = self.origin(&composite.views[0]);
         let source = node_of(&origin);
-        let is = |kind: &str| self.node(source).is_some_and(|node| is_type(node, kind));
+        let is = |kind: &str| self.node(source).is_some_and(|node| kind_of(node) == kind);
         let mut inputs = vec![
             ("left", composite.views[0].clone()),
             ("right", composite.views[pair + 1].clone()),
@@ -312,7 +300,7 @@ impl Wiring {
             inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
         };
         // A mesh is part of the registration.
-        if self.node(&composite.id).is_some_and(|node| is_type(node, MESH)) {
+        if self.node(&composite.id).is_some_and(|node| kind_of(node) == MESH) {
             wire(&[("mesh", "mesh")], &composite.id);
         }
         if judged != JudgeInputs::Registration {

@@ -1,9 +1,10 @@
 //! Reduces a graph to the part that a measure needs.
 
 use panoscope_graph::{Catalog, Graph};
-use toml::{Table, Value};
+use toml::Table;
 
 use super::error::{PartError, SweepError};
+use crate::inputs::references::for_evaluation;
 
 /// Joins names for a sentence.
 pub(super) fn list(names: &[&str]) -> String {
@@ -39,10 +40,7 @@ pub(super) fn refuse_acting(graph: &Graph, catalog: &Catalog, kept: &[bool], mea
 /// The text of a graph with only these nodes, in batch.
 pub(super) fn text(whole: &str, graph: &Graph, kept: &[bool]) -> Result<String, PartError> {
     let mut table: Table = whole.parse()?;
-    table.remove("preset");
-    table.remove("editor");
-    table.insert("mode".to_owned(), "batch".into());
-    if let Some(nodes) = table.get_mut("nodes").and_then(Value::as_table_mut) {
+    if let Some(nodes) = for_evaluation(&mut table) {
         nodes.retain(|id, _| graph.node(id).is_some_and(|node| kept[node]));
     }
     Ok(toml::to_string(&table)?)

@@ -90,15 +90,14 @@ pub fn chart(sweep: &Sweep, points: &[Point]) -> Chart {
     let known = || points.iter().filter_map(|p| Some((p.at, p.result.as_ref().ok()?)));
     let bars = known().flat_map(|(at, s)| [(at, s.min), (at, s.max)]).collect();
     let means = known().map(|(at, s)| (at, s.mean)).collect();
-    let series = |name: &str, style, color, points| Series { name: name.to_owned(), style, color, points };
     Chart {
         title: format!("{} over {}", sweep.measure_text(), sweep.param()),
         x_label: if unit.is_empty() { sweep.param().to_owned() } else { format!("{} [{unit}]", sweep.param()) },
         y_label: sweep.measure_text().to_owned(),
         // Between words there is nothing.
         series: vec![
-            series("smallest to largest", Style::Bars, 1, bars),
-            series("mean", if has_words { Style::Dots } else { Style::Line }, 0, means),
+            Series::new("smallest to largest", Style::Bars, 1, bars),
+            Series::new("mean", if has_words { Style::Dots } else { Style::Line }, 0, means),
         ],
         from_zero: false,
         log: false,

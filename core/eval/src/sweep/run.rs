@@ -1,17 +1,16 @@
-//! Checks a sweep and runs it.
+//! A sweep: one parameter and one measure.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use panoscope_graph::{GraphText, ParamKind, ParamValue, check};
+use panoscope_graph::ParamKind;
 use panoscope_host::loader::Loader;
 use panoscope_record::Recording;
 
+use super::axis::{Axis, AxisRequest, AxisValues};
 use super::error::{PointError, SweepError};
-use super::measure::{Measure, NoSummary, Summary};
-use super::trial::Trial;
-use super::values::shown;
-use super::{part, values};
+use super::measure::Summary;
+use super::study::{Plan, RunResult, Study, StudyRequest};
 
 /// Options of a sweep.
 #[derive(Clone, Debug)]
@@ -52,19 +51,8 @@ pub struct Point {
     pub result: Result<Summary, PointError>,
 }
 
-/// A checked sweep.
-pub struct Sweep {
-    request: Request,
-    loader: Arc<Loader>,
-    /// Text of the part of the graph that is run.
-    text: String,
-    values: Vec<(ParamValue, f64)>,
-    measure: Measure,
-    /// Unit of the parameter.
-    unit: String,
-    /// Whether the values are words: switches or choices.
-    words: bool,
-}
+/// A checked sweep: a [`Study`] of one parameter and one measure, one run at a time.
+pub struct Sweep(Study);
 
 impl Sweep {
     /// Checks graph, parameter and measure.
@@ -72,118 +60,58 @@ impl Sweep {
     /// # Errors
     /// See [`SweepError`]; nothing has been run.
     pub fn new(request: Request, loader: Arc<Loader>) -> Result<Self, SweepError> {
-        let mut parsed = GraphText::parse(&request.path, &request.text);
-        request.settings.iter().for_each(|setting| parsed.set(setting));
-        let catalog = loader.catalog_of(&parsed);
-        let (graph, _) = check(&parsed, &catalog).into_result().map_err(SweepError::Check)?;
-        let bad_param = |reason: String| SweepError::Param { param: request.param.clone(), reason };
-        let (id, name) = request
-            .param
-            .split_once('.')
-            .ok_or_else(|| bad_param("write it as NODE.PARAMETER, such as match.block_px".to_owned()))?;
-        let node = graph.node(id).ok_or_else(|| bad_param(part::no_node(&graph, id)))?;
-        let node_type = graph.nodes[node].node_type(&catalog);
-        let declared = node_type.param(name).map(|at| &node_type.params[at]).ok_or_else(|| {
-            let names: Vec<&str> = node_type.params.iter().map(|p| p.name.as_str()).collect();
-            bad_param(format!("`{id}` has no such parameter; it has {}", part::list(&names)))
-        })?;
-        if request.recording.is_some() && node_type.source {
-            return Err(bad_param(format!("the recording replaces source `{id}`: sweep another node")));
-        }
-        let values = values::of(&declared.kind, request.from, request.to, request.steps)
-            .map_err(|error| bad_param(error.to_string()))?;
-        let (measure, at) = Measure::of(&request.measure, &graph, &catalog)?;
-        let kept = part::needed(&graph, &[at]);
-        if !kept[node] {
-            return Err(bad_param(format!(
-                "`{id}` is not upstream of `{}`, so it has no effect on it: sweep another parameter",
-                measure
-            )));
-        }
-        part::refuse_acting(&graph, &catalog, &kept, &request.measure)?;
-        let text = part::text(&request.text, &graph, &kept).map_err(|error| bad_param(error.to_string()))?;
-        let of_kept = |setting: &String| {
-            let node = setting.split_once('.').and_then(|(node, _)| graph.node(node.trim()));
-            node.is_some_and(|n| kept[n])
-        };
-        let unit = declared.unit.clone();
-        let words = matches!(declared.kind, ParamKind::Bool { .. } | ParamKind::Choice { .. });
-        let mut request = request;
-        request.settings.retain(of_kept);
-        Ok(Self { request, loader, text, values, measure, unit, words })
+        let Request { path, text, settings, param, from, to, steps, measure, frames, recording, threads } = request;
+        let axes = vec![AxisRequest { param, values: AxisValues::Range { from, to, steps: None } }];
+        let (plan, measures, jobs) = (Plan::Grid, vec![measure], 1);
+        let request =
+            StudyRequest { path, text, settings, axes, plan, steps, measures, frames, recording, threads, jobs };
+        Study::new(request, loader).map(Self)
     }
 
     /// Number of values.
     pub fn len(&self) -> usize {
-        self.values.len()
+        self.0.len()
     }
 
     /// Always false: a sweep has at least one value.
     pub fn is_empty(&self) -> bool {
-        self.values.is_empty()
+        self.0.is_empty()
+    }
+
+    fn axis(&self) -> &Axis {
+        &self.0.axes[0]
     }
 
     /// The parameter, `node.param`.
     pub fn param(&self) -> &str {
-        &self.request.param
+        &self.axis().param
     }
 
     /// The measure as requested.
     pub fn measure_text(&self) -> &str {
-        &self.request.measure
-    }
-
-    /// What is measured.
-    pub fn measure(&self) -> &Measure {
-        &self.measure
+        &self.0.request.measures[0]
     }
 
     /// Unit of the parameter; empty for none.
     pub fn unit(&self) -> &str {
-        &self.unit
+        &self.axis().unit
     }
 
     /// Whether the values are words, as of switches and choices; their numbers are only positions.
     pub fn has_words(&self) -> bool {
-        self.words
+        self.axis().has_words
     }
 
     /// Runs all values; `each` receives each point. Ends early if `cancelled` returns true; it is called often.
     ///
     /// # Errors
     /// The column, row or metric does not exist, which only the first run can show.
-    pub fn run(&self, cancelled: &dyn Fn() -> bool, mut each: impl FnMut(Point)) -> Result<(), SweepError> {
-        for (value, at) in &self.values {
-            let value = shown(value);
-            let result = match self.one(&value, cancelled) {
-                _ if cancelled() => return Ok(()),
-                Ok(summary) => Ok(summary),
-                Err(NoSummary::Run(reason)) => Err(PointError { reason }),
-                Err(NoSummary::Measure(reason)) => {
-                    return Err(SweepError::Measure { measure: self.request.measure.clone(), reason });
-                }
-            };
-            each(Point { value, at: *at, result });
-        }
-        Ok(())
-    }
-
-    /// Runs one value to its end.
-    fn one(&self, value: &str, cancelled: &dyn Fn() -> bool) -> Result<Summary, NoSummary> {
-        let mut settings = self.request.settings.clone();
-        settings.push(format!("{}={value}", self.request.param));
-        let trial = Trial {
-            path: &self.request.path,
-            text: &self.text,
-            settings,
-            measures: std::slice::from_ref(&self.measure),
-            frames: self.request.frames,
-            threads: self.request.threads,
-            recording: self.request.recording.as_ref(),
-            loader: &self.loader,
-        };
-        let mut summaries = trial.run(cancelled)?;
-        summaries.pop().unwrap_or_else(|| Err(NoSummary::Run("nothing was measured".to_owned())))
+    pub fn run(&self, cancelled: &(dyn Fn() -> bool + Sync), mut each: impl FnMut(Point)) -> Result<(), SweepError> {
+        self.0.run(cancelled, |RunResult { values, results, .. }| {
+            for ((value, at), result) in values.into_iter().zip(results) {
+                each(Point { value, at, result });
+            }
+        })
     }
 }
 

@@ -195,7 +195,7 @@ impl StudyRequest {
             let node = graph.node(id).ok_or_else(|| bad_param(&axis.param, part::no_node(graph, id)))?;
             if !kept[node] {
                 let reason =
-                    format!("`{id}` is not upstream of `{names}`, so it has no effect on them: vary another parameter");
+                    format!("`{id}` is not upstream of `{names}`, so it has no effect: vary another parameter");
                 return Err(bad_param(&axis.param, reason));
             }
             if self.recording.is_some() && graph.nodes[node].node_type(catalog).source {

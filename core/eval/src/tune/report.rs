@@ -163,7 +163,7 @@ fn plot(path: &Path, tunings: &Tunings) -> Result<()> {
             for (color, found) in tuning.found.iter().enumerate() {
                 let samples = course.play(&with(goals, channel, found.tuned), channel, motion)?;
                 let points = samples.iter().filter(|s| s.at_s >= -0.2).map(|s| (s.at_s, s.error_mm)).collect();
-                series.push(Series { name: found.parts.name().to_owned(), style: Style::Line, color, points });
+                series.push(Series::new(found.parts.name(), Style::Line, color, points));
             }
             charts.push(Chart {
                 title,

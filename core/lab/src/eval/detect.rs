@@ -89,9 +89,18 @@ pub struct Arguments {
     pub json: Option<PathBuf>,
 }
 
-fn share(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|e| format!("{e}"))?;
-    if value > 0.0 && value < 1.0 { Ok(value) } else { Err("above 0 and below 1 was expected".into()) }
+/// Why a text is not a share.
+#[derive(Debug, thiserror::Error)]
+enum ShareError {
+    #[error(transparent)]
+    Number(#[from] std::num::ParseFloatError),
+    #[error("above 0 and below 1 was expected")]
+    Range,
+}
+
+fn share(text: &str) -> Result<f64, ShareError> {
+    let value: f64 = text.parse()?;
+    if value > 0.0 && value < 1.0 { Ok(value) } else { Err(ShareError::Range) }
 }
 
 impl Arguments {

@@ -9,8 +9,8 @@
 //! velocity, the arm follows the set-points that it has received (a predictor after Smith, 1957, with the arm's
 //! kinematics as its model). The integral sums the errors without prediction.
 
+use crate::tracking::kalman::{Kalman, Model, stereo_covariance};
 use nalgebra::{Point3, Vector3};
-use panoscope_tracking::kalman::{Kalman, Model, stereo_covariance};
 
 use crate::chain::{Chain, JointVector};
 use crate::pid::{Gains, Pid, Sample};

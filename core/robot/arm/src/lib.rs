@@ -1,7 +1,8 @@
 //! A camera arm as plain mathematics, without any framework type.
 //!
 //! [`chain`] reads an arm from URDF; [`control`] computes joint velocities from the tip's position; [`interlock`] sits
-//! between any controller and any arm; [`dynamics`] simulates an arm, and [`tuning`] finds gains on it. Lengths in mm,
+//! between any controller and any arm; [`dynamics`] simulates an arm, and [`tuning`] finds gains on it. [`tracking`]
+//! follows instrument tips and knows nothing of the rest. Lengths in mm,
 //! angles in rad, times in ns on one clock that the caller owns. Source of the task: thesis, chapter 6 (figs 6.2, 6.3).
 
 #![forbid(unsafe_code)]
@@ -16,6 +17,7 @@ pub mod line;
 pub mod pid;
 pub mod rehearsal;
 pub mod task;
+pub mod tracking;
 pub mod tuning;
 
 pub use chain::{Chain, JOINTS, JointVector, Stance};

@@ -4,9 +4,9 @@
 //! As in the graph, the cameras are where the arm was one tick ago, and the tip is known only while it is in the left
 //! image, with the noise of stereo. Finds and evaluates gains quickly; the graph is evaluated separately.
 
+use crate::tracking::kalman::Model;
+use crate::tracking::tracker::{Known, Report, Rules, Tracker};
 use nalgebra::{Isometry3, Point3, Vector3};
-use panoscope_tracking::kalman::Model;
-use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
 use crate::campaign::Random;
 use crate::chain::{Chain, JointVector};

@@ -3,4 +3,5 @@
 mod chain;
 mod closed_loop;
 mod interlock;
+mod skill;
 mod tuning;

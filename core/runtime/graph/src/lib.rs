@@ -55,5 +55,6 @@ pub use outline::{InputOutline, NodeHome, NodeOutline, PartOutline, PartPort, Re
 pub use packet::{PacketMismatch, PacketType};
 pub use param::{Param, ParamKind, ParamValue, Pick, ValueError};
 pub use schema::json_schema;
+pub use source::tidy;
 pub use text::{FileKind, GraphFile, GraphText};
 pub use validate::{NodeSetup, ParamProblem, Validator, Wiring};

@@ -137,7 +137,7 @@ pub(crate) fn folder(file: &Path) -> PathBuf {
 }
 
 /// `path` made absolute, without `.` and `..`. Links are not followed: the files need not exist.
-pub(crate) fn tidy(path: &Path) -> PathBuf {
+pub fn tidy(path: &Path) -> PathBuf {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let mut out = PathBuf::new();
     for part in whole.components() {

@@ -171,16 +171,7 @@ impl App {
             Action::MakePart => self.name_part(),
             Action::Dissolve => self.dissolve(),
             Action::Arguments => self.show_arguments(),
-            Action::Undo => {
-                if let Some(label) = self.document.undo() {
-                    self.notify(text!("done-undone", step = label), false);
-                }
-            }
-            Action::Redo => {
-                if let Some(label) = self.document.redo() {
-                    self.notify(text!("done-redone", step = label), false);
-                }
-            }
+            Action::Undo | Action::Redo => self.undo_or_redo(action == Action::Undo),
             Action::Save => self.save(),
             Action::Fit => self.canvas.fit(),
             Action::ZoomIn if self.viewer.viewpoint().is_some() => self.viewer.view3d().zoom_by(1.0),
@@ -190,42 +181,18 @@ impl App {
             Action::Delete => self.delete(),
             Action::Duplicate => self.duplicate(),
             Action::Bypass => self.bypass(),
-            Action::SelectAll => {
-                self.canvas.selected = self.document.view().nodes.iter().map(|n| n.id().to_owned()).collect();
-            }
+            Action::SelectAll => self.select_all(),
             Action::Next => self.select_next(false),
             Action::NextToo => self.select_next(true),
-            Action::Frame | Action::Note => {
-                let frame = action == Action::Frame;
-                let marks = if frame { self.canvas.frame_selection() } else { self.canvas.add_note() };
-                let result = ops::set_marks(&mut self.document, &marks, &[]);
-                self.try_edit(result);
-            }
-            Action::Align => {
-                let places = self.stored(self.canvas.aligned());
-                if places.len() > 1 {
-                    let result = ops::move_nodes(&mut self.document, &places);
-                    self.try_edit(result);
-                } else {
-                    self.notify(text!("need-two-nodes"), true);
-                }
-            }
+            Action::Frame | Action::Note => self.mark(action == Action::Frame),
+            Action::Align => self.align(),
             Action::Arrange => self.arrange(),
             Action::View => self.view(),
             Action::Heat => self.heat ^= true,
-            Action::Text => _ = self.docks.toggle(Panel::Text),
-            Action::Plots => _ = self.docks.toggle(Panel::Plots),
-            Action::History => _ = self.docks.toggle(Panel::History),
             Action::Back => self.step_to(self.document.history().at().saturating_sub(1)),
             Action::Forward => self.step_to(self.document.history().at() + 1),
-            Action::Sweep => _ = self.docks.toggle(Panel::Sweep),
             Action::States => self.toggle_states(),
-            Action::Snapshot => {
-                self.states.load(self.document.path());
-                self.handle_state(StateRequest::Take);
-            }
-            Action::Problems => _ = self.docks.toggle(Panel::Problems),
-            Action::Timeline => _ = self.docks.toggle(Panel::Timeline),
+            Action::Snapshot => self.take_snapshot(),
             Action::Record => self.record(),
             Action::Acknowledge => self.acknowledge(),
             Action::Play => self.change_playing(Change::Toggle),
@@ -236,40 +203,33 @@ impl App {
                 Some(timeline) => timeline.step(-1),
                 None => self.notify(text!("need-recording"), true),
             },
-            Action::Trace => _ = self.docks.toggle(Panel::Trace),
             Action::NextProblem => self.step_problem(false),
             Action::PreviousProblem => self.step_problem(true),
             Action::Restart => self.session.restart(self.document.runnable()),
             Action::Plugins => self.plugins = true,
             Action::Reload => self.session.reload_plugins(),
-            Action::Escape if self.picker.is_some() => self.end_picking(),
-            Action::Escape => {
-                let closed = self.end_guide() || self.node_help.take().is_some() || self.close_tour();
-                if !closed && !self.viewer.clear_line() && !self.viewer.close() {
-                    self.canvas.selected.clear();
-                    self.canvas.selected_wire = None;
-                }
-            }
+            Action::Escape => self.escape(),
             Action::Add => self.open_palette(Purpose::Add { at: None, pending: None }),
-            Action::Connect => match self.selected() {
-                Some(node) => self.open_palette(Purpose::Connect { node }),
-                None => self.notify(text!("need-one-node"), true),
-            },
+            Action::Connect => self.connect(),
             Action::Find => self.open_palette(Purpose::Find),
             Action::Theme => self.change_theme = true,
-            Action::Language => {
-                set_language(language().next());
-                self.notify(text!("language-now"), false);
-            }
+            Action::Language => self.change_language(),
             Action::Commands => self.open_palette(Purpose::Command),
             Action::Help => self.help = true,
             Action::Guide => self.start_guide(),
             Action::NodeHelp => self.toggle_node_help(),
             Action::Source => self.open_source(self.selected().as_deref()),
             Action::Compare => self.compare(),
-            Action::NodePanel => _ = self.docks.toggle(Panel::Node),
-            Action::Overview => _ = self.docks.toggle(Panel::Overview),
-            Action::ViewerBeside
+            Action::Text
+            | Action::Plots
+            | Action::History
+            | Action::Sweep
+            | Action::Problems
+            | Action::Timeline
+            | Action::Trace
+            | Action::NodePanel
+            | Action::Overview
+            | Action::ViewerBeside
             | Action::NextPanel
             | Action::PreviousPanel
             | Action::PanelLeft
@@ -281,6 +241,67 @@ impl App {
             | Action::TearOff
             | Action::ClosePanel
             | Action::ResetLayout => self.perform_on_panel(action),
+        }
+    }
+
+    fn undo_or_redo(&mut self, is_undo: bool) {
+        let step = if is_undo { self.document.undo() } else { self.document.redo() };
+        if let Some(step) = step {
+            self.notify(
+                if is_undo { text!("done-undone", step = step) } else { text!("done-redone", step = step) },
+                false,
+            );
+        }
+    }
+
+    fn select_all(&mut self) {
+        self.canvas.selected = self.document.view().nodes.iter().map(|n| n.id().to_owned()).collect();
+    }
+
+    /// Puts a frame around the selection, or a note.
+    fn mark(&mut self, is_frame: bool) {
+        let marks = if is_frame { self.canvas.frame_selection() } else { self.canvas.add_note() };
+        let result = ops::set_marks(&mut self.document, &marks, &[]);
+        self.try_edit(result);
+    }
+
+    fn take_snapshot(&mut self) {
+        self.states.load(self.document.path());
+        self.handle_state(StateRequest::Take);
+    }
+
+    fn connect(&mut self) {
+        match self.selected() {
+            Some(node) => self.open_palette(Purpose::Connect { node }),
+            None => self.notify(text!("need-one-node"), true),
+        }
+    }
+
+    fn change_language(&mut self) {
+        set_language(language().next());
+        self.notify(text!("language-now"), false);
+    }
+
+    /// Aligns the selected nodes.
+    fn align(&mut self) {
+        let places = self.stored(self.canvas.aligned());
+        if places.len() > 1 {
+            let result = ops::move_nodes(&mut self.document, &places);
+            self.try_edit(result);
+        } else {
+            self.notify(text!("need-two-nodes"), true);
+        }
+    }
+
+    /// Closes the uppermost of what is open, or clears the selection.
+    fn escape(&mut self) {
+        if self.picker.is_some() {
+            return self.end_picking();
+        }
+        let closed = self.end_guide() || self.node_help.take().is_some() || self.close_tour();
+        if !closed && !self.viewer.clear_line() && !self.viewer.close() {
+            self.canvas.selected.clear();
+            self.canvas.selected_wire = None;
         }
     }
 

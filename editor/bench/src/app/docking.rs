@@ -20,6 +20,22 @@ use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_model::timeline::Held;
 use panoscope_editor_widgets::theme;
 
+/// The panel that an action opens or closes.
+fn toggled_by(action: Action) -> Option<Panel> {
+    Some(match action {
+        Action::Text => Panel::Text,
+        Action::Plots => Panel::Plots,
+        Action::History => Panel::History,
+        Action::Sweep => Panel::Sweep,
+        Action::Problems => Panel::Problems,
+        Action::Timeline => Panel::Timeline,
+        Action::Trace => Panel::Trace,
+        Action::NodePanel => Panel::Node,
+        Action::Overview => Panel::Overview,
+        _ => return None,
+    })
+}
+
 impl App {
     /// The docks of the window.
     pub fn docks(&self) -> &Docks {
@@ -114,6 +130,10 @@ impl App {
 
     /// Performs an action on the panel that has the keys.
     pub(super) fn perform_on_panel(&mut self, action: Action) {
+        if let Some(panel) = toggled_by(action) {
+            self.docks.toggle(panel);
+            return;
+        }
         let panel = self.docks.focused();
         let name = title(panel);
         let done = match action {

@@ -10,7 +10,7 @@ use eframe::egui::{
 
 use super::App;
 use crate::actions::{Action, key_name};
-use panoscope_editor_model::disk;
+use panoscope_base::files;
 use panoscope_editor_model::docks::Panel;
 use panoscope_editor_model::numbered::create_folder;
 use panoscope_editor_model::texts::text;
@@ -125,7 +125,7 @@ impl App {
             return false;
         }
         if let Some(config) = self.config.clone() {
-            let written = create_folder(&config).is_ok() && disk::replace(&seen_file(&config), b"", None).is_ok();
+            let written = create_folder(&config).is_ok() && files::replace(&seen_file(&config), b"").is_ok();
             if !written {
                 self.notify(text!("guide-not-kept", folder = config.display().to_string()), true);
             }

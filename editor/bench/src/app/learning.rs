@@ -104,7 +104,7 @@ impl App {
                 self.source = Some(source);
                 self.docks.open(Panel::Source);
             }
-            Err(reason) => self.notify(reason, true),
+            Err(error) => self.notify(error.to_string(), true),
         }
     }
 
@@ -124,7 +124,7 @@ impl App {
                     self.session.reload_plugins();
                     self.notify(text!("learn-source-swapped", file = path), false);
                 }
-                Err(reason) => self.notify(reason, true),
+                Err(error) => self.notify(error.to_string(), true),
             },
             Some(SourceRequest::Close) => self.close_source(),
             None => {}

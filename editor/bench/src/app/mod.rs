@@ -46,7 +46,7 @@ use crate::picker::Picker;
 use crate::view3d::View3d;
 use crate::viewer::Viewer;
 use panoscope_editor_model::arguments::Form;
-use panoscope_editor_model::disk::{self, DiskAlarm, DiskWatch};
+use panoscope_editor_model::disk::{DiskAlarm, DiskWatch};
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::numbered::{FolderError, next_file};
 use panoscope_editor_model::observe::{Counters, Observer, Output};
@@ -178,6 +178,15 @@ pub struct App {
     costs: Costs,
 }
 
+/// Makes the session, and changes of files unless the graph runs on another machine, redraw the window.
+fn wake_by(session: &Session, ctx: &Context) -> std::io::Result<Option<DiskAlarm>> {
+    let for_wake = ctx.clone();
+    session.set_wake(Arc::new(move || for_wake.request_repaint()));
+    let for_alarm = ctx.clone();
+    let is_here = session.attachment().is_none();
+    is_here.then(|| DiskAlarm::new(move || for_alarm.request_repaint())).transpose()
+}
+
 impl App {
     /// Opens a window on the graph file at `path` with its text, and starts the graph if it is valid.
     ///
@@ -197,17 +206,11 @@ impl App {
         session: Session,
         options: Options,
     ) -> Result<Self, OpenError> {
-        let for_wake = ctx.clone();
-        session.set_wake(Arc::new(move || for_wake.request_repaint()));
         theme::apply_choice(ctx, options.theme);
         if options.scale > 0.0 {
             ctx.set_zoom_factor(options.scale);
         }
-        let for_alarm = ctx.clone();
-        let alarm = match session.attachment() {
-            None => Some(DiskAlarm::new(move || for_alarm.request_repaint())?),
-            Some(_) => None,
-        };
+        let alarm = wake_by(&session, ctx)?;
         let trace = session.follow_ticks();
         let observer = Observer::new(session.handle())?;
         let document = Document::with_options(path, text, session.loader(), options.given);
@@ -272,14 +275,19 @@ impl App {
             costs: Costs::default(),
             session,
         };
-        if let Some(broken) = broken {
-            app.notify(text!("layout-unused", reason = broken.to_string()), true);
+        app.greet(broken.map(|broken| broken.to_string()), is_new);
+        Ok(app)
+    }
+
+    /// Says why the stored layout is not used, and shows a newcomer around.
+    fn greet(&mut self, broken_layout: Option<String>, is_new: bool) {
+        if let Some(reason) = broken_layout {
+            self.notify(text!("layout-unused", reason = reason), true);
         }
         // A form or templates come first; the next start with a graph that runs shows the tour.
-        if is_new && app.arguments.is_none() && app.document.view().valid {
-            app.start_guide();
+        if is_new && self.arguments.is_none() && self.document.view().valid {
+            self.start_guide();
         }
-        Ok(app)
     }
 
     /// The graph file being edited.
@@ -495,7 +503,7 @@ impl App {
         let write = || -> Result<PathBuf, ExportError> {
             let file = next_file(Path::new("out"), what, ending)?;
             match export {
-                Export::Csv(text) => disk::replace(&file, text.as_bytes(), None)?,
+                Export::Csv(text) => panoscope_base::files::replace(&file, text.as_bytes())?,
                 Export::Picture(picture) => picture.save(&file)?,
             }
             Ok(file)

@@ -201,46 +201,56 @@ impl Canvas {
             self.drag = Drag::None;
         }
         if transform.scaling >= DETAIL {
-            if let (Some(rect), Some((output, _))) = (self.picture_rect(node, rect), &shape.output) {
-                if ui.rect_contains_pointer(rect.intersect(self.rect)) {
-                    self.under_pointer = Some(output.clone());
-                }
-                let clicked_picture = body.clicked()
-                    && !modifiers.any()
-                    && body.interact_pointer_pos().is_some_and(|at| rect.contains(at));
-                if clicked_picture || (body.double_clicked() && !this.is_part) {
-                    requests.push(CanvasRequest::ViewLarge(output.clone()));
-                }
+            self.touch_parts(ui, scene, node, rect, &body, requests);
+        }
+    }
+
+    /// Handles input on the image, the buttons and the pins of a node, which are drawn from the scale [`DETAIL`] on.
+    fn touch_parts(
+        &mut self,
+        ui: &mut Ui,
+        scene: &Scene<'_>,
+        node: usize,
+        rect: Rect,
+        body: &Response,
+        requests: &mut Vec<CanvasRequest>,
+    ) {
+        let (this, position, transform) = (&scene.view.nodes[node], self.places[node], self.transform());
+        let (id, shape, modifiers) = (this.id(), Arc::clone(&self.shapes[node]), ui.input(|i| i.modifiers));
+        if let (Some(rect), Some((output, _))) = (self.picture_rect(node, rect), &shape.output) {
+            if ui.rect_contains_pointer(rect.intersect(self.rect)) {
+                self.under_pointer = Some(output.clone());
             }
-            if this.is_part {
-                let at = Rect::from_min_size(position, vec2(super::shape::WIDTH, super::shape::HEADER));
-                let header = transform * at.with_min_x(at.right() - super::shape::OPEN);
-                let open = ui.interact(header, Id::new(("open part", id)), Sense::click());
-                open.widget_info(|| {
-                    WidgetInfo::labeled(WidgetType::Button, true, text!("canvas-open.name", node = id))
-                });
-                let on_header = body.interact_pointer_pos().is_some_and(|p| (transform * at).contains(p));
-                if open.clicked() || (body.double_clicked() && on_header) {
-                    requests.push(CanvasRequest::Open { part: id.to_owned(), open: true });
+            let clicked_picture =
+                body.clicked() && !modifiers.any() && body.interact_pointer_pos().is_some_and(|at| rect.contains(at));
+            if clicked_picture || (body.double_clicked() && !this.is_part) {
+                requests.push(CanvasRequest::ViewLarge(output.clone()));
+            }
+        }
+        if this.is_part {
+            let at = Rect::from_min_size(position, vec2(super::shape::WIDTH, super::shape::HEADER));
+            let header = transform * at.with_min_x(at.right() - super::shape::OPEN);
+            let open = ui.interact(header, Id::new(("open part", id)), Sense::click());
+            open.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("canvas-open.name", node = id)));
+            let on_header = body.interact_pointer_pos().is_some_and(|p| (transform * at).contains(p));
+            if open.clicked() || (body.double_clicked() && on_header) {
+                requests.push(CanvasRequest::Open { part: id.to_owned(), open: true });
+            }
+        }
+        if let Some(fold) = shape.fold.filter(|_| transform.scaling >= PORTS) {
+            let rect = transform * fold.translate(position.to_vec2());
+            let button = ui.interact(rect, Id::new(("fold", id)), Sense::click());
+            button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, text!("canvas-all-ports", node = id)));
+            if button.clicked() {
+                if !self.unfolded.remove(id) {
+                    self.unfolded.insert(id.to_owned());
                 }
+                self.laid_out = None;
             }
-            if let Some(fold) = shape.fold.filter(|_| transform.scaling >= PORTS) {
-                let rect = transform * fold.translate(position.to_vec2());
-                let button = ui.interact(rect, Id::new(("fold", id)), Sense::click());
-                button.widget_info(|| {
-                    WidgetInfo::labeled(WidgetType::Button, true, text!("canvas-all-ports", node = id))
-                });
-                if button.clicked() {
-                    if !self.unfolded.remove(id) {
-                        self.unfolded.insert(id.to_owned());
-                    }
-                    self.laid_out = None;
-                }
-            }
-            for pin in &shape.pins {
-                let at = transform * (position + pin.at.to_vec2());
-                self.touch_pin(ui, scene, node, pin, at, requests);
-            }
+        }
+        for pin in &shape.pins {
+            let at = transform * (position + pin.at.to_vec2());
+            self.touch_pin(ui, scene, node, pin, at, requests);
         }
     }
 

@@ -39,6 +39,17 @@ impl Level {
         self.routes.values_mut().flatten().for_each(|at| *at += by);
     }
 
+    /// Adds an opened part with its frame.
+    fn insert(&mut self, id: &str, mut part: Self, frame: Rect) {
+        part.shift(frame.min.to_vec2());
+        self.nodes.extend(part.nodes);
+        self.origins.extend(part.origins);
+        self.lanes.extend(part.lanes);
+        self.routes.extend(part.routes);
+        self.frames.extend(part.frames);
+        self.frames.insert(id.to_owned(), frame);
+    }
+
     /// The rectangle of everything in it.
     fn extent(&self, view: &GraphView, shapes: &[Arc<Shape>]) -> Option<Rect> {
         let nodes =
@@ -119,15 +130,7 @@ pub(super) fn lay_out(view: &GraphView, shapes: &[Arc<Shape>], part: &str, windo
         let at = pos2(at[0], at[1]);
         match inside.remove(&item.id) {
             None => _ = level.nodes.insert(item.id.clone(), at),
-            Some(mut part) => {
-                part.shift(at.to_vec2());
-                level.nodes.extend(part.nodes);
-                level.origins.extend(part.origins);
-                level.lanes.extend(part.lanes);
-                level.routes.extend(part.routes);
-                level.frames.extend(part.frames);
-                level.frames.insert(item.id.clone(), Rect::from_min_size(at, item.size));
-            }
+            Some(part) => level.insert(&item.id, part, Rect::from_min_size(at, item.size)),
         }
     }
     let untouched = |n: usize| items[n].position.is_none();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use eframe::egui::{Button, FontId, RichText, ScrollArea, TextEdit, TextStyle, Ui};
 
-use panoscope_editor_model::disk;
+use panoscope_editor_model::disk::{self, SaveError};
 use panoscope_editor_model::texts::text;
 use panoscope_editor_widgets::theme;
 
@@ -31,17 +31,44 @@ pub struct SourceFile {
     saved: String,
 }
 
+/// Why a source was not read or saved.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// It cannot be read.
+    #[error("{}", text!("source-unreadable", file = file.clone(), reason = reason.to_string()))]
+    Unreadable {
+        /// The file.
+        file: String,
+        /// The operating system's error.
+        reason: std::io::Error,
+    },
+    /// It is longer than the panel takes.
+    #[error("{}", text!("source-too-long", file = file.clone()))]
+    TooLong {
+        /// The file.
+        file: String,
+    },
+    /// Another program changed it since it was read.
+    #[error("{}", text!("source-replaced", file = file.clone()))]
+    Replaced {
+        /// The file.
+        file: String,
+    },
+    /// It cannot be written.
+    #[error(transparent)]
+    Save(#[from] SaveError),
+}
+
 impl SourceFile {
     /// Reads a file.
     ///
     /// # Errors
-    /// Why it cannot be read, in words.
-    pub fn open(path: &Path) -> Result<Self, String> {
-        let fail = |error: std::io::Error| {
-            text!("source-unreadable", file = path.display().to_string(), reason = error.to_string())
-        };
+    /// It cannot be read, or is too long.
+    pub fn open(path: &Path) -> Result<Self, SourceError> {
+        let file = || path.display().to_string();
+        let fail = |reason: std::io::Error| SourceError::Unreadable { file: file(), reason };
         let text = disk::read_text(path, MAX_BYTES).map_err(fail)?;
-        let text = text.ok_or_else(|| text!("source-too-long", file = path.display().to_string()))?;
+        let text = text.ok_or_else(|| SourceError::TooLong { file: file() })?;
         Ok(Self { path: path.to_owned(), saved: text.clone(), text })
     }
 
@@ -54,12 +81,11 @@ impl SourceFile {
     ///
     /// # Errors
     /// It was changed by another program meanwhile, or cannot be written; the file is unchanged.
-    pub fn save(&mut self) -> Result<(), String> {
+    pub fn save(&mut self) -> Result<(), SourceError> {
         if std::fs::read_to_string(&self.path).is_ok_and(|now| now != self.saved) {
-            let path = self.path.display();
-            return Err(text!("source-replaced", file = path.to_string()));
+            return Err(SourceError::Replaced { file: self.path.display().to_string() });
         }
-        disk::save(&self.path, &self.text).map_err(|error| error.to_string())?;
+        disk::save(&self.path, &self.text)?;
         self.saved.clone_from(&self.text);
         Ok(())
     }

@@ -191,21 +191,7 @@ impl SweepPanel {
         });
         let (numbers, unit, step) = kind_of(document, &self.param);
         if numbers {
-            row(ui, text!("sweep-range"), |ui| {
-                let speed = step.unwrap_or((self.to - self.from).abs() / 100.0).max(1e-6);
-                for (value, label) in
-                    [(&mut self.from, text!("sweep-range.from")), (&mut self.to, text!("sweep-range.to"))]
-                {
-                    let drag = ui.add(drag_value(value).speed(speed).max_decimals(4).suffix(&unit));
-                    name(ui, drag.id, label);
-                }
-                let steps = ui.add(
-                    drag_value(&mut self.steps)
-                        .range(2..=MAX_STEPS)
-                        .suffix(format!(" {}", text!("sweep-steps.suffix"))),
-                );
-                name(ui, steps.id, text!("sweep-steps"));
-            });
+            row(ui, text!("sweep-range"), |ui| self.range(ui, &unit, step));
         }
         row(ui, text!("sweep-measure"), |ui| {
             let width = ui.available_width() - 8.0;
@@ -258,6 +244,18 @@ impl SweepPanel {
             ui.add(Label::new(RichText::new(lacks).size(12.0).color(theme::warn())).wrap());
         }
         request
+    }
+
+    /// Draws the range of a number and the steps in it.
+    fn range(&mut self, ui: &mut Ui, unit: &str, step: Option<f64>) {
+        let speed = step.unwrap_or((self.to - self.from).abs() / 100.0).max(1e-6);
+        for (value, label) in [(&mut self.from, text!("sweep-range.from")), (&mut self.to, text!("sweep-range.to"))] {
+            let drag = ui.add(drag_value(value).speed(speed).max_decimals(4).suffix(unit));
+            name(ui, drag.id, label);
+        }
+        let suffix = format!(" {}", text!("sweep-steps.suffix"));
+        let steps = ui.add(drag_value(&mut self.steps).range(2..=MAX_STEPS).suffix(suffix));
+        name(ui, steps.id, text!("sweep-steps"));
     }
 
     /// Why the sweep cannot start.

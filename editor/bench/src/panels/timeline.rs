@@ -66,44 +66,7 @@ impl TimelinePanel {
                 request = Some(TimelineRequest::Close);
             }
         });
-        ui.horizontal(|ui| {
-            if ui.button(text!("timeline-back")).on_hover_text(actions::hint(Action::TickBack)).clicked() {
-                timeline.step(-1);
-            }
-            let caption = if position.plays { text!("timeline-pause") } else { text!("timeline-play") };
-            if ui.button(caption).on_hover_text(actions::hint(Action::Play)).clicked() {
-                timeline.play(!position.plays);
-            }
-            if ui.button(text!("timeline-forward")).on_hover_text(actions::hint(Action::TickForward)).clicked() {
-                timeline.step(1);
-            }
-            let mut speed = position.speed;
-            let drag = ui.add(drag_value(&mut speed).range(0.05..=20.0).speed(0.02).suffix(" x"));
-            ui.ctx().accesskit_node_builder(drag.id, |node| node.set_label(text!("timeline-speed")));
-            if drag.changed() {
-                timeline.set_speed(speed);
-            }
-            if ui.button(text!("timeline-loop-from")).clicked() {
-                self.from_s = Some(position.at_s);
-                timeline.set_range(None);
-            }
-            let from_s = self.from_s.filter(|from| *from < position.at_s);
-            if ui.add_enabled(from_s.is_some(), Button::new(text!("timeline-loop-to"))).clicked() {
-                timeline.set_range(from_s.map(|from| (from, position.at_s)));
-                self.from_s = None;
-                timeline.play(true);
-            }
-            if let Some((from, to)) = position.range_s {
-                if ui.button(text!("timeline-loop-end")).clicked() {
-                    timeline.set_range(None);
-                }
-                ui.label(
-                    RichText::new(text!("timeline-range", from = decimal(from, 2), to = decimal(to, 2)))
-                        .size(12.0)
-                        .color(theme::muted()),
-                );
-            }
-        });
+        ui.horizontal(|ui| self.controls(ui, timeline));
         self.step_by_keys(ui, timeline);
         let mut at_s = timeline.position().at_s;
         ui.spacing_mut().slider_width = (ui.available_width() - 24.0).max(120.0);
@@ -136,25 +99,62 @@ impl TimelinePanel {
                 request = Some(TimelineRequest::Compute);
             }
         }
-        ui.horizontal(|ui| match timeline.second_path() {
-            Some(path) => {
-                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                let caption = text!("timeline-beside", file = name);
-                ui.label(RichText::new(caption).size(12.0).color(theme::muted()));
-                if ui.button(text!("timeline-compare-end")).clicked() {
-                    request = Some(TimelineRequest::EndCompare);
-                }
+        request.or(ui.horizontal(|ui| self.second_recording(ui, timeline)).inner)
+    }
+
+    /// Draws the buttons: playing, speed and the loop.
+    fn controls(&mut self, ui: &mut Ui, timeline: &Timeline) {
+        let position = timeline.position();
+        if ui.button(text!("timeline-back")).on_hover_text(actions::hint(Action::TickBack)).clicked() {
+            timeline.step(-1);
+        }
+        let caption = if position.plays { text!("timeline-pause") } else { text!("timeline-play") };
+        if ui.button(caption).on_hover_text(actions::hint(Action::Play)).clicked() {
+            timeline.play(!position.plays);
+        }
+        if ui.button(text!("timeline-forward")).on_hover_text(actions::hint(Action::TickForward)).clicked() {
+            timeline.step(1);
+        }
+        let mut speed = position.speed;
+        let drag = ui.add(drag_value(&mut speed).range(0.05..=20.0).speed(0.02).suffix(" x"));
+        ui.ctx().accesskit_node_builder(drag.id, |node| node.set_label(text!("timeline-speed")));
+        if drag.changed() {
+            timeline.set_speed(speed);
+        }
+        if ui.button(text!("timeline-loop-from")).clicked() {
+            self.from_s = Some(position.at_s);
+            timeline.set_range(None);
+        }
+        let from_s = self.from_s.filter(|from| *from < position.at_s);
+        if ui.add_enabled(from_s.is_some(), Button::new(text!("timeline-loop-to"))).clicked() {
+            timeline.set_range(from_s.map(|from| (from, position.at_s)));
+            self.from_s = None;
+            timeline.play(true);
+        }
+        if let Some((from, to)) = position.range_s {
+            if ui.button(text!("timeline-loop-end")).clicked() {
+                timeline.set_range(None);
             }
-            None => {
-                let names = (text!("timeline-second"), text!("timeline-second.open"), text!("timeline-second.browse"));
-                let picked = file_row(ui, &mut self.second, names).map(|picked| match picked {
-                    Some(path) => TimelineRequest::Compare(path),
-                    None => TimelineRequest::Browse(Target::SecondTimeline),
-                });
-                request = request.take().or(picked);
-            }
-        });
-        request
+            ui.label(
+                RichText::new(text!("timeline-range", from = decimal(from, 2), to = decimal(to, 2)))
+                    .size(12.0)
+                    .color(theme::muted()),
+            );
+        }
+    }
+
+    /// Draws the row of the recording to compare with.
+    fn second_recording(&mut self, ui: &mut Ui, timeline: &Timeline) -> Option<TimelineRequest> {
+        if let Some(path) = timeline.second_path() {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            ui.label(RichText::new(text!("timeline-beside", file = name)).size(12.0).color(theme::muted()));
+            return ui.button(text!("timeline-compare-end")).clicked().then_some(TimelineRequest::EndCompare);
+        }
+        let names = (text!("timeline-second"), text!("timeline-second.open"), text!("timeline-second.browse"));
+        file_row(ui, &mut self.second, names).map(|picked| match picked {
+            Some(path) => TimelineRequest::Compare(path),
+            None => TimelineRequest::Browse(Target::SecondTimeline),
+        })
     }
 
     /// Shows the panel without a recording: opens one, or makes one.

@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use panoscope_base::files;
 use serde::{Deserialize, Serialize};
 
 use super::{Dock, Layout, LayoutError, Panel, Window};
@@ -97,5 +98,5 @@ pub fn recall(folder: &Path, graph: &Path) -> Result<Option<Layout>, BrokenLayou
 pub fn remember(folder: &Path, graph: &Path, layout: &Layout) -> std::io::Result<()> {
     std::fs::create_dir_all(folder.join(FOLDER))?;
     let text = Stored::text(&key(graph), layout).map_err(std::io::Error::other)?;
-    disk::replace(&file_of(folder, graph), text.as_bytes(), None)
+    files::replace(&file_of(folder, graph), text.as_bytes())
 }

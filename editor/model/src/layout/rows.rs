@@ -246,20 +246,7 @@ fn lay(input: &Input<'_>, plan: &Plan, gap: [f32; 2]) -> Laid {
     let near = Neighbours::new(heights.len(), &short);
     layers::order(&mut columns, &near);
     // From the top of each column down, then towards the neighbours.
-    let mut tops = vec![0.0; heights.len()];
-    let mut column_heights = Vec::with_capacity(columns.len());
-    for column in &columns {
-        let mut y = 0.0;
-        for (i, &thing) in column.iter().enumerate() {
-            if i > 0 {
-                y += distance(column[i - 1], thing, nodes, gap[1]);
-            }
-            tops[thing] = y;
-            y += heights[thing];
-        }
-        column.iter().for_each(|&thing| tops[thing] -= y / 2.0);
-        column_heights.push(y);
-    }
+    let (mut tops, column_heights) = stack(&columns, &heights, (nodes, gap[1]));
     let mut bounds = vec![[0.0; 2]; columns.len()];
     for row in plan.row_ranges(columns.len()) {
         let height = column_heights[row.clone()].iter().copied().fold(0.0, f32::max);
@@ -279,8 +266,39 @@ fn lay(input: &Input<'_>, plan: &Plan, gap: [f32; 2]) -> Laid {
         ((from, to), chain.iter().zip(layer[from] + 1..).map(segment).collect())
     });
     let lanes = lanes.collect();
-    let mut routes = HashMap::new();
-    for (from, to) in routed {
+    let routes = route(plan, &rows, &channels, &routed);
+    let layout = Layout { positions, lanes, routes };
+    Laid { extent: extent(&layout, input.sizes), layout }
+}
+
+/// Stacks the things of each column without alignment, centred on 0: the top of each thing, and the height of each column.
+fn stack(columns: &[Vec<usize>], heights: &[f32], (nodes, gap): (usize, f32)) -> (Vec<f32>, Vec<f32>) {
+    let mut tops = vec![0.0; heights.len()];
+    let height_of = |column: &Vec<usize>| {
+        let mut y = 0.0;
+        for (i, &thing) in column.iter().enumerate() {
+            if i > 0 {
+                y += distance(column[i - 1], thing, nodes, gap);
+            }
+            tops[thing] = y;
+            y += heights[thing];
+        }
+        column.iter().for_each(|&thing| tops[thing] -= y / 2.0);
+        y
+    };
+    let column_heights = columns.iter().map(height_of).collect();
+    (tops, column_heights)
+}
+
+/// Corners of the wires between rows, through the channels between them.
+fn route(
+    plan: &Plan,
+    rows: &Rows,
+    channels: &Channels,
+    routed: &[(usize, usize)],
+) -> HashMap<(usize, usize), Vec<[f32; 2]>> {
+    let layer = &plan.layer;
+    let corners = |&(from, to): &(usize, usize)| {
         let net = channels.nets[&from] % TRACKS;
         let leaves = rows.left[layer[from]] + rows.width[layer[from]] + ASIDE[0] + net as f32 * TRACK;
         let enters = rows.left[layer[to]] - ASIDE[1] - net as f32 * TRACK;
@@ -292,10 +310,9 @@ fn lay(input: &Input<'_>, plan: &Plan, gap: [f32; 2]) -> Laid {
             corners.extend([[trunk, y(first)], [trunk, y(last)]]);
         }
         corners.push([enters, y(last)]);
-        routes.insert((from, to), corners);
-    }
-    let layout = Layout { positions, lanes, routes };
-    Laid { extent: extent(&layout, input.sizes), layout }
+        ((from, to), corners)
+    };
+    routed.iter().map(corners).collect()
 }
 
 /// Width and height of everything in a layout.

@@ -6,8 +6,10 @@ use std::time::Instant;
 
 use gstreamer::Fraction;
 use panoscope_media::{Encoder, EncoderSettings, Framing, MediaError, VideoCodec};
+use panoscope_node::{AnyImage, Context, NodeError, Result};
 
 use super::fanout::Fanout;
+use crate::picture::pixels_of;
 
 /// Frame rate for which a bit rate is stated, Hz.
 const NOMINAL_HZ: i32 = 30;
@@ -37,6 +39,8 @@ impl Shared {
 /// Encodes frames on a separate thread.
 pub struct Worker {
     shared: Arc<Shared>,
+    /// The next frame, blue, green and red bytes.
+    bgr: Vec<u8>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -59,7 +63,7 @@ impl Worker {
             }
             own.fanout.end();
         })?;
-        Ok(Self { shared, thread: Some(thread) })
+        Ok(Self { shared, bgr: Vec::new(), thread: Some(thread) })
     }
 
     /// The receivers of the packets.
@@ -67,8 +71,40 @@ impl Worker {
         &self.shared.fanout
     }
 
+    /// Replaces the waiting frame while somebody receives the stream.
+    ///
+    /// # Errors
+    /// Encoding has stopped, or the image is not one of 8 bits.
+    pub fn show(&mut self, image: &AnyImage<'_>) -> Result<()> {
+        self.check()?;
+        if !self.fanout().has_consumers() {
+            return Ok(());
+        }
+        let Some(pixels) = pixels_of(image) else {
+            return Err(NodeError::new("the image has an unknown pixel format"));
+        };
+        if !pixels.to_bgr(&mut self.bgr) {
+            let name = pixels.name();
+            return Err(NodeError::new(format!(
+                "a stream needs 8-bit images, but {name} arrived: put a `colorize` node in front"
+            )));
+        }
+        let bgr = std::mem::take(&mut self.bgr);
+        self.bgr = self.offer(bgr, pixels.size());
+        Ok(())
+    }
+
+    /// Reports the counts of a stream; `audience` names the metric of those who receive it.
+    pub fn report(&self, cx: &Context<'_>, audience: &str) {
+        let counts = self.fanout().counts();
+        cx.metric(audience, counts.consumers as f64);
+        cx.metric("frames", counts.encoded as f64);
+        cx.metric("replaced", counts.replaced as f64);
+        cx.metric("held_back", counts.held_back as f64);
+    }
+
     /// Replaces the waiting frame. Returns a buffer to fill with the next one. `bgr`: rows without padding.
-    pub fn offer(&self, bgr: Vec<u8>, size_px: (usize, usize)) -> Vec<u8> {
+    fn offer(&self, bgr: Vec<u8>, size_px: (usize, usize)) -> Vec<u8> {
         let mut mailbox = self.shared.lock();
         let waiting = mailbox.picture.replace((bgr, size_px));
         let spare = match waiting {
@@ -83,9 +119,10 @@ impl Worker {
         spare
     }
 
-    /// Why encoding has stopped; `None` while it runs.
-    pub fn error(&self) -> Option<EncodeError> {
-        self.shared.lock().error.clone().map(EncodeError)
+    /// # Errors
+    /// Encoding has stopped.
+    pub fn check(&self) -> Result<(), EncodeError> {
+        self.shared.lock().error.clone().map_or(Ok(()), |error| Err(EncodeError(error)))
     }
 
     /// Encodes the waiting frame, ends the stream and joins the thread.

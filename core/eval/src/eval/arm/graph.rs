@@ -11,7 +11,7 @@ use panoscope_engine::sync::lock;
 use panoscope_graph::GraphOptions;
 
 use super::preset;
-use crate::error::{Context, EvalError, Result};
+use crate::error::{Context, Result};
 use crate::inputs::Folder;
 use crate::packets::Table;
 use crate::run::{self, Pace, Plan, Watchers};
@@ -149,7 +149,7 @@ pub fn run_preset(session: &dyn Session, name: &str, seed: u64, seconds: u32, fi
 }
 
 fn judged(session: &dyn Session, text: &str, path: &Path, name: &str, seconds: u32, size: (u32, u32)) -> Result<Run> {
-    let plan = Plan { text, path, frames: Some(u64::from(seconds) * 30), threads: 0, ports: &[], pace: Pace::Free };
+    let plan = Plan { text, path, frames: Some(u64::from(seconds) * 30), ..Plan::default() };
     let rows: Arc<Mutex<BTreeMap<u64, Option<Table>>>> = Arc::default();
     let heard = Arc::clone(&rows);
     let hear = move |frame: &FrameRef| _ = lock(&heard).insert(frame.tick().seq, Table::read(frame.bytes()));
@@ -162,9 +162,7 @@ fn judged(session: &dyn Session, text: &str, path: &Path, name: &str, seconds: u
         table.names = ticks.names;
     }
     (!table.rows.is_empty()).then_some(()).context("the evaluating node received no packets")?;
-    let column = |name: &str| {
-        table.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
-    };
+    let column = |name: &str| table.required("the judge's table", name);
     let [time, error, u, v, distance] =
         ["time_s", "error_mm", "error_u_px", "error_v_px", "error_distance_mm"].map(column);
     let [view, is_seen, pivot, following, speed, change] =
@@ -207,9 +205,8 @@ pub fn set_point_age(session: &dyn Session, seed: u64, seconds: u32, width: u32)
         text: &text,
         path: Path::new("eval_arm_age.toml"),
         frames: Some(u64::from(seconds) * 30),
-        threads: 0,
-        ports: &[],
         pace: Pace::Camera,
+        ..Plan::default()
     };
     let report = run::run(session, &plan)?.report;
     let ages = report.paths.get("sent").context("the controller sent no set-point")?;

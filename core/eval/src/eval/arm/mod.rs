@@ -13,8 +13,9 @@ use panoscope_arm_core::interlock::Evidence;
 use panoscope_arm_core::rehearsal::{self, Measures, Scenario, measure};
 use panoscope_arm_core::{Chain, Interlock, JointVector, campaign};
 
-use crate::error::{EvalError, FileAction, OnFile, Result};
+use crate::error::{EvalError, Result};
 use crate::figures::Figure;
+use crate::inputs::{create, shipped_model, wants};
 use crate::session::{Session, check_cancelled, note};
 use crate::statistics::percentile;
 
@@ -24,21 +25,28 @@ const PEER_ERROR_MM: f64 = 1.95;
 const PEER_VIEW_PCT: f64 = 99.84;
 
 /// Options of [`judge`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// The parts to evaluate; if empty, all.
+    /// Parts to run; repeatable. Default: all.
+    #[arg(long = "part", value_name = "PART", value_parser = PARTS)]
     pub parts: Vec<String>,
-    /// The scenarios to evaluate; if empty, all.
+    /// Scenarios to run; repeatable. Default: all.
+    #[arg(long = "scenario", value_name = "SCENARIO")]
     pub scenarios: Vec<String>,
     /// Length of each run, s of media time.
+    #[arg(long, default_value_t = Self::default().seconds, value_parser = clap::value_parser!(u32).range(8..=3600))]
     pub seconds: u32,
     /// Width of the phantom's images in the graph's runs, px.
+    #[arg(long, default_value_t = Self::default().width, value_parser = clap::value_parser!(u32).range(64..=1920))]
     pub width: u32,
     /// Inputs of the campaign against the limits.
+    #[arg(long = "cases", value_name = "CASES", default_value_t = Self::default().hostile_inputs)]
     pub hostile_inputs: u64,
     /// Seed of strokes and campaign.
+    #[arg(long, default_value_t = Self::default().seed)]
     pub seed: u64,
     /// Folder for the plots of each scenario.
+    #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
 }
 
@@ -59,16 +67,6 @@ impl Default for Options {
     }
 }
 
-impl Options {
-    fn wants(&self, part: &str) -> bool {
-        self.parts.is_empty() || self.parts.iter().any(|p| p == part)
-    }
-
-    fn wants_scenario(&self, name: &str) -> bool {
-        self.scenarios.is_empty() || self.scenarios.iter().any(|s| s == name)
-    }
-}
-
 /// Error of the tip, share of time in view, limits and time of the control, for the wanted parts and scenarios.
 ///
 /// # Errors
@@ -84,12 +82,10 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         return Err(EvalError::Options { reason });
     }
     let chain = Chain::shipped()?;
-    if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
-    }
+    create(options.pictures.as_deref())?;
     let mut figures = Vec::new();
-    if options.wants("rehearsal") {
-        for scenario in Scenario::ALL.into_iter().filter(|s| options.wants_scenario(s.name())) {
+    if wants(&options.parts, "rehearsal") {
+        for scenario in Scenario::ALL.into_iter().filter(|s| wants(&options.scenarios, s.name())) {
             let goals = rehearsal::shipped_goals();
             let rows = rehearsal::play(&chain, scenario, options.seed, f64::from(options.seconds), 30.0, &goals);
             let input = format!("tips by script, {} s at 30 Hz, no pictures", options.seconds);
@@ -100,9 +96,9 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             check_cancelled(session)?;
         }
     }
-    if options.wants("graph") {
-        for name in graph::SCENARIOS.into_iter().filter(|name| options.wants_scenario(name)) {
-            if name == graph::DETECTOR && crate::inputs::shipped_model("instruments.onnx").is_none() {
+    if wants(&options.parts, "graph") {
+        for name in graph::SCENARIOS.into_iter().filter(|name| wants(&options.scenarios, name)) {
+            if name == graph::DETECTOR && shipped_model("instruments.onnx").is_none() {
                 note!(session, "skipped: {name}: there is no plugins/tools/models/instruments.onnx");
                 continue;
             }
@@ -114,7 +110,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             }
             check_cancelled(session)?;
         }
-        for name in preset::names().filter(|name| options.wants_scenario(name)) {
+        for name in preset::names().filter(|name| wants(&options.scenarios, name)) {
             let Some(file) = preset::file(name) else {
                 note!(session, "skipped: {name}: there is no graphs folder in this one, nor beside the program");
                 continue;
@@ -128,17 +124,17 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             check_cancelled(session)?;
         }
     }
-    if options.wants("age") {
+    if wants(&options.parts, "age") {
         let seconds = options.seconds.min(20);
         let (p50, p99) = graph::set_point_age(session, options.seed, seconds, options.width)?;
         let input = format!("graph live at 30 Hz, rendering {} px included, {seconds} s", options.width);
         figures.push(Figure::new("setpoint_age_p50", p50, "ms", &input));
         figures.push(Figure::new("setpoint_age_p99", p99, "ms", &input));
     }
-    if options.wants("limits") {
+    if wants(&options.parts, "limits") {
         limits(session, &chain, options, &mut figures)?;
     }
-    if options.wants("time") {
+    if wants(&options.parts, "time") {
         time(&chain, &mut figures);
     }
     Ok(figures)

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use crate::error::{Context, FileAction, OnFile, Result};
+use crate::canvas::Canvas;
+use crate::error::Result;
 use panoscope_arm_core::rehearsal::Row;
-use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw;
 
 const WIDTH: usize = 1200;
@@ -39,9 +39,8 @@ pub fn draw(path: &Path, title: &str, rows: &[Row]) -> Result<()> {
         Band { title: "miss of the trocar, mm", curves: vec![(red, of(&|r| r.pivot_mm))], limit: Some(1.0) },
         Band { title: "speed of the camera, mm/s", curves: vec![(green, of(&|r| r.camera_mm_s))], limit: None },
     ];
-    let height = BAND * bands.len();
-    let mut bgr = vec![255; WIDTH * height * 3];
-    let mut out = ViewMut::new(&mut bgr, WIDTH, height, 3);
+    let mut canvas = Canvas::new(WIDTH, BAND * bands.len(), [255; 3]);
+    let mut out = canvas.view();
     let end_s = rows.last().map_or(1.0, |row| row.at_s).max(1e-3);
     let x_of = |at_s: f64| LEFT + (WIDTH as f32 - LEFT - 12.0) * (at_s / end_s) as f32;
     for (index, band) in bands.iter().enumerate() {
@@ -86,7 +85,5 @@ pub fn draw(path: &Path, title: &str, rows: &[Row]) -> Result<()> {
         let words = if index == 0 { format!("{title}: {}", band.title) } else { band.title.to_owned() };
         draw::text(&mut out, LEFT, top + 8.0, &words, 2.0, [0; 3]);
     }
-    bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
-    let image = image::RgbImage::from_raw(WIDTH as u32, height as u32, bgr).context("a plot of another size")?;
-    image.save(path).on_file(FileAction::Write, path)
+    canvas.save(path)
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::{Context, Result, bail};
+use crate::inputs::references::{for_evaluation, kind_of, references, remove_sinks};
 use crate::inputs::shipped_file;
 use toml::{Table, Value};
 
@@ -38,11 +39,6 @@ pub fn file(name: &str) -> Option<PathBuf> {
     shipped_file(Path::new(file))
 }
 
-fn is_type(node: &Value, wanted: &str) -> bool {
-    let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
-    name.rsplit('/').next() == Some(wanted)
-}
-
 /// Makes a preset of the text of its file.
 ///
 /// # Errors
@@ -50,19 +46,10 @@ fn is_type(node: &Value, wanted: &str) -> bool {
 /// follows the phantom's ground truth.
 pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
     let mut graph: Table = text.parse().with_context(|| format!("{} is not TOML", path.display()))?;
-    graph.remove("preset");
-    graph.remove("editor");
-    graph.insert("mode".to_owned(), "batch".into());
-    let Some(nodes) = graph.get_mut("nodes").and_then(Value::as_table_mut) else {
-        bail!("{} has no nodes", path.display())
-    };
-    let is_sink = |node: &Value| {
-        let kind = node.get("type").and_then(Value::as_str).unwrap_or_default();
-        kind.rsplit('/').next().is_some_and(|kind| kind.starts_with("write_") || kind == "preview")
-    };
-    nodes.retain(|_, node| !is_sink(node));
+    let Some(nodes) = for_evaluation(&mut graph) else { bail!("{} has no nodes", path.display()) };
+    remove_sinks(nodes);
     let one = |kind: &str| -> Result<String> {
-        let mut all = nodes.iter().filter(|(_, node)| is_type(node, kind)).map(|(id, _)| id.clone());
+        let mut all = nodes.iter().filter(|(_, node)| kind_of(node) == kind).map(|(id, _)| id.clone());
         match (all.next(), all.next()) {
             (Some(id), None) => Ok(id),
             _ => bail!("{}: the graph must have exactly one node of type `{kind}`", path.display()),
@@ -71,7 +58,7 @@ pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
     let (phantom, arm, track) = (one("phantom")?, one("arm_sim")?, one("tip_track")?);
     for truth in ["tip", "lead", "second", "detections", "instances", "depth", "disparity", "clearance"] {
         let truth = format!("{phantom}.{truth}");
-        if nodes.values().any(|node| reads(node, &truth)) {
+        if nodes.values().any(|node| references(node).contains(&truth)) {
             bail!(
                 "{}: a node reads `{truth}`, the phantom's ground truth; connect it to an estimate instead",
                 path.display()
@@ -107,19 +94,6 @@ pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
     judge.insert("inputs".to_owned(), inputs.into());
     nodes.insert("judge".to_owned(), judge.into());
     Ok(Preset { text: graph.to_string(), path, size })
-}
-
-/// Whether a node has an output among its inputs.
-fn reads(node: &Value, output: &str) -> bool {
-    fn holds(value: &Value, output: &str) -> bool {
-        match value {
-            Value::String(text) => text == output,
-            Value::Array(all) => all.iter().any(|value| holds(value, output)),
-            Value::Table(table) => table.get("from").is_some_and(|from| holds(from, output)),
-            _ => false,
-        }
-    }
-    node.get("inputs").and_then(Value::as_table).is_some_and(|inputs| inputs.values().any(|v| holds(v, output)))
 }
 
 #[cfg(test)]

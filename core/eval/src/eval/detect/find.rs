@@ -6,7 +6,7 @@ use std::path::Path;
 use super::truth::{Truth, normal_name, read_found};
 use crate::error::{Context, Result, bail};
 use crate::inputs::{Folder, quoted};
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Plan};
 use crate::session::{Session, note};
 use panoscope_imaging::detect::Find;
 
@@ -25,6 +25,23 @@ impl Node {
         match self {
             Self::Yolo => "yolo",
             Self::MaskRcnn => "mask_rcnn",
+        }
+    }
+
+    /// The node `find` in a graph's text, with a model and its own parameters, on the output `image`.
+    pub fn text(self, image: &str, model: &Path) -> String {
+        format!(
+            "[nodes.find]\ntype = \"{}\"\nbudget_ms = 60000\ninputs = {{ image = \"{image}\" }}\nparams = {{ model = {} }}\n",
+            self.name(),
+            quoted(model)
+        )
+    }
+
+    /// Inputs of a `tool_tip` after the node `find`.
+    pub fn tip_inputs(self, image: &str) -> String {
+        match self {
+            Self::Yolo => format!("detections = \"find.detections\", image = \"{image}\""),
+            Self::MaskRcnn => "instances = \"find.instances\"".to_owned(),
         }
     }
 
@@ -79,7 +96,7 @@ pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, setti
     );
     let count = truth.pictures.len() as u64;
     let path = scratch.path().join("eval.toml");
-    let plan = Plan { text: &text, path: &path, frames: Some(count), threads: 0, ports: &[], pace: Pace::Free };
+    let plan = Plan { text: &text, path: &path, frames: Some(count), ..Plan::default() };
     let seen = run::run(session, &plan)?;
     let report = seen.report.nodes.get("find").context("the node did not run")?;
     if report.faults > 0 {

@@ -21,9 +21,9 @@ use self::find::Node;
 use self::judged::JudgeInputs;
 use self::phantom::Tips;
 use self::truth::Truth;
-use crate::error::{EvalError, FileAction, OnFile, Result, bail};
+use crate::error::{EvalError, Result, bail};
 use crate::figures::Figure;
-use crate::inputs::{Folder, shipped_model};
+use crate::inputs::{Folder, create, shipped_model, wants};
 use crate::session::{Session, check_cancelled, note};
 use panoscope_engine::text_table::table;
 use panoscope_imaging::detect::{Shape, score};
@@ -398,14 +398,12 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
         }
     }
     let folders = options.data.iter().cloned().chain(usual_data()).collect();
-    if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
-    }
+    create(options.pictures.as_deref())?;
     let mut judge = Judge { session, options, folders, judged: Vec::new(), figures: Vec::new() };
     if let Some(path) = &options.truth {
         judge.given(path)?;
     } else {
-        for case in CASES.iter().filter(|c| options.cases.is_empty() || options.cases.iter().any(|a| a == *c)) {
+        for case in CASES.iter().filter(|case| wants(&options.cases, case)) {
             match *case {
                 "test" => judge.test()?,
                 "left_out" => judge.held_out()?,

@@ -8,8 +8,8 @@ use serde_json::Value;
 use super::find::Node;
 use super::truth::{self, Truth};
 use crate::error::{Context, FileAction, OnFile, Result};
-use crate::inputs::{Folder, quoted};
-use crate::run::{self, Pace, Plan};
+use crate::inputs::Folder;
+use crate::run::{self, Plan};
 use crate::session::{Session, check_cancelled};
 
 /// First seed beyond those of the training.
@@ -38,7 +38,7 @@ pub fn frames(session: &dyn Session, scratch: &Folder) -> Result<Truth> {
             40.0 + 5.0 * index as f64,
         );
         let path = folder.join("eval.toml");
-        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], pace: Pace::Free };
+        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), ..Plan::default() };
         run::run(session, &plan)?;
         let scene = truth::read(session, &folder.join("truth.json"), None, None)?;
         all.classes = scene.classes;
@@ -113,21 +113,8 @@ pub fn place(line: &Value) -> Option<([f64; 2], Option<Vec<f64>>)> {
 pub fn tips(session: &dyn Session, from: From<'_>) -> Result<Tips> {
     let scratch = Folder::new("panoscope-tips")?;
     let (finder, inputs) = match from {
-        From::TrueMasks => (String::new(), "instances = \"scope.instances\""),
-        From::Model(Node::Yolo, model) => (
-            format!(
-                "[nodes.find]\ntype = \"yolo\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
-                quoted(model)
-            ),
-            "detections = \"find.detections\", image = \"scope.left\"",
-        ),
-        From::Model(Node::MaskRcnn, model) => (
-            format!(
-                "[nodes.find]\ntype = \"mask_rcnn\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
-                quoted(model)
-            ),
-            "instances = \"find.instances\"",
-        ),
+        From::TrueMasks => (String::new(), "instances = \"scope.instances\"".to_owned()),
+        From::Model(node, model) => (node.text("scope.left", model), node.tip_inputs("scope.left")),
     };
     let mut out = Tips::default();
     for (index, kind) in KINDS.iter().enumerate() {
@@ -143,7 +130,7 @@ pub fn tips(session: &dyn Session, from: From<'_>) -> Result<Tips> {
             FIRST_SEED + 100 + index as u64,
         );
         let path = scratch.path().join("eval.toml");
-        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], pace: Pace::Free };
+        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), ..Plan::default() };
         run::run(session, &plan)?;
         let read = |name: &str| read_lines(&scratch.path().join(name));
         let (found, real) = (read("found.jsonl")?, read("truth.jsonl")?);

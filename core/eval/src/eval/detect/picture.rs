@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
+use panoscope_imaging::View;
 use panoscope_imaging::draw::{self, Color};
-use panoscope_imaging::{View, ViewMut};
 
 use super::reliability::{self, Outcome, expected_error};
 use super::truth::Truth;
-use crate::error::{Context, FileAction, OnFile, Result};
+use crate::canvas::Canvas;
+use crate::error::{FileAction, OnFile, Result};
 use panoscope_imaging::detect::Mask;
 use panoscope_imaging::detect::{Find, Object, Scores, Shape, pairs};
 
@@ -28,34 +29,6 @@ const CLASS_COLORS: [Color; 10] = [
     [34, 189, 188],
     [207, 190, 23],
 ];
-
-/// A BGR image to draw on.
-struct Canvas {
-    width: usize,
-    height: usize,
-    bgr: Vec<u8>,
-}
-
-impl Canvas {
-    fn new(width: usize, height: usize, color: Color) -> Self {
-        Self { width, height, bgr: color.repeat(width * height) }
-    }
-
-    fn view(&mut self) -> ViewMut<'_, u8> {
-        ViewMut::new(&mut self.bgr, self.width, self.height, 3)
-    }
-
-    fn text(&mut self, x: f32, y: f32, text: &str, color: Color) {
-        draw::text(&mut self.view(), x, y, text, 1.6, color);
-    }
-
-    fn save(mut self, path: &Path) -> Result<()> {
-        self.bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
-        let image = image::RgbImage::from_raw(self.width as u32, self.height as u32, self.bgr);
-        let image = image.context("a picture of another size")?;
-        image.save(path).on_file(FileAction::Write, path)
-    }
-}
 
 /// Precision over recall of each class, at an overlap of 0.5.
 pub fn curves(path: &Path, title: &str, classes: &[String], scores: &Scores) -> Result<()> {
@@ -321,11 +294,7 @@ pub fn sheet(path: &Path, truth: &Truth, finds: &[Vec<Find>], shape: Shape, all:
         let picture = &truth.pictures[*index];
         let (mut small, scale) = thumbnail(&picture.path, CELL.0 - 4, CELL.1 - 26)?;
         mark(&mut small, scale, &picture.objects, &finds[*index], &truth.classes, shape);
-        for y in 0..small.height {
-            let to = ((y0 + 22 + y) * sheet.width + x0 + 2) * 3;
-            let from = y * small.width * 3;
-            sheet.bgr[to..to + small.width * 3].copy_from_slice(&small.bgr[from..from + small.width * 3]);
-        }
+        sheet.paste((x0 + 2, y0 + 22), &small);
         let caption: String = format!("{}: {words}", picture.stem()).chars().take(42).collect();
         draw::text(&mut sheet.view(), x0 as f32 + 4.0, y0 as f32 + 5.0, &caption, 1.2, [255, 255, 255]);
     }

@@ -6,8 +6,8 @@ use super::find::Node;
 use super::phantom::{Tips, place, read_lines, seq};
 use super::truth::Truth;
 use crate::error::Result;
-use crate::inputs::{Folder, quoted};
-use crate::run::{self, Pace, Plan};
+use crate::inputs::Folder;
+use crate::run::{self, Plan};
 use crate::session::Session;
 use panoscope_imaging::detect::Mask;
 
@@ -41,18 +41,13 @@ fn end_of(mask: &Mask) -> Option<[f64; 2]> {
 /// that class.
 pub fn run(session: &dyn Session, truth: &Truth, node: Node, model: &Path) -> Result<Tips> {
     let scratch = Folder::new("panoscope-tips")?;
-    let inputs = match node {
-        Node::Yolo => "detections = \"find.detections\", image = \"files.left\"",
-        Node::MaskRcnn => "instances = \"find.instances\"",
-    };
+    let inputs = node.tip_inputs("files.left");
     // A second between pictures: each is judged for itself.
     let mut text = format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
-         [nodes.files]\ntype = \"capture\"\nparams = {{ left = {}, pace = \"off\", rate_hz = 1.0 }}\n\
-         [nodes.find]\ntype = \"{}\"\nbudget_ms = 60000\ninputs = {{ image = \"files.left\" }}\nparams = {{ model = {} }}\n",
+         [nodes.files]\ntype = \"capture\"\nparams = {{ left = {}, pace = \"off\", rate_hz = 1.0 }}\n{}",
         toml::Value::String(truth.file_list()),
-        node.name(),
-        quoted(model),
+        node.text("files.left", model),
     );
     for (class, name) in truth.classes.iter().enumerate() {
         text += &format!(
@@ -63,7 +58,7 @@ pub fn run(session: &dyn Session, truth: &Truth, node: Node, model: &Path) -> Re
     }
     let path = scratch.path().join("eval.toml");
     let frames = Some(truth.pictures.len() as u64);
-    run::run(session, &Plan { text: &text, path: &path, frames, threads: 0, ports: &[], pace: Pace::Free })?;
+    run::run(session, &Plan { text: &text, path: &path, frames, ..Plan::default() })?;
     let mut tips = Tips::default();
     for (class, name) in truth.classes.iter().enumerate() {
         let found = read_lines(&scratch.path().join(format!("tip{class}.jsonl")))?;

@@ -4,6 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use crate::error::{Context, EvalError, FileAction, OnFile, Result, bail};
+use crate::packets;
+use panoscope_engine::memory::FrameRef;
 use panoscope_imaging::stereo::{CameraModel, FloatImage, StereoCameras, formats};
 
 /// A picture as the kernels want it.
@@ -26,6 +28,12 @@ impl Picture {
             |p: &[u8]| (u32::from(p[0]) * 7471 + u32::from(p[1]) * 38470 + u32::from(p[2]) * 19595 + 32768) >> 16;
         let gray = bgr.chunks_exact(3).map(|p| weigh(p) as u8).collect();
         Self { width, height, bgr, gray }
+    }
+
+    /// A view in a packet of an image.
+    pub fn of(frame: &FrameRef) -> Result<Self> {
+        let (width, height) = (frame.frame().width as usize, frame.frame().height as usize);
+        Ok(Self::new(width, height, packets::bytes(frame, 3).context("a picture is cut off")?))
     }
 
     /// Reads a file.

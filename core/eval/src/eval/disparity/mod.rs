@@ -20,8 +20,9 @@ pub mod truth_files;
 
 use std::path::PathBuf;
 
-use crate::error::{FileAction, OnFile, Result};
+use crate::error::Result;
 use crate::figures::Figure;
+use crate::inputs::{create, wants};
 use crate::session::{Session, check_cancelled};
 use judge::Judge;
 use own_graph::OwnGraph;
@@ -65,16 +66,14 @@ pub const CASES: [&str; 10] = [
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let usual = ["target/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
     let folders = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
-    if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
-    }
+    create(options.pictures.as_deref())?;
     let own = options.graph.as_ref().map(OwnGraph::open).transpose()?;
     let mut judge = Judge { session, folders, own, pictures: options.pictures.as_deref(), figures: Vec::new() };
     if let Some(pair) = &options.pair {
         judge.given(pair)?;
         return Ok(judge.figures);
     }
-    for case in CASES.iter().filter(|case| options.cases.is_empty() || options.cases.iter().any(|c| c == *case)) {
+    for case in CASES.iter().filter(|case| wants(&options.cases, case)) {
         check_cancelled(session)?;
         match *case {
             "truth" => judge.outside()?,

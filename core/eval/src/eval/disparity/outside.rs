@@ -3,9 +3,6 @@
 //! Warping the right view by the true disparity must give the left view, up to the sensor's noise, wherever both cameras see the
 //! same point.
 
-use std::path::Path;
-
-use panoscope_engine::memory::FrameRef;
 use panoscope_imaging::stereo::{Rectification, RectifiedCamera, score_disparity, score_surface};
 use panoscope_imaging::{Rect, View};
 
@@ -18,7 +15,7 @@ use crate::figures::Figure;
 use crate::inputs::scene::rectified_phantom;
 use crate::packets::floats;
 use crate::ruler::{BASELINE_MM, FOCAL_PX, SIZE};
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Plan};
 
 const SCENES: [&str; 5] = ["liver", "bowel", "cavity", "box", "board"];
 /// A difference beyond this is no noise, gray levels.
@@ -27,17 +24,6 @@ const LARGE_LEVELS: f32 = 12.0;
 const RANGE_MM: [f64; 6] = [20.0, 22.0, 25.0, 35.0, 50.0, 70.0];
 /// Ticks of the speed measurement.
 const FPS_TICKS: u64 = 120;
-
-fn bgr(frame: &FrameRef) -> Result<Picture> {
-    let (described, bytes) = (frame.frame(), frame.bytes());
-    let (width, height, stride) =
-        (described.width as usize, described.height as usize, described.stride_bytes as usize);
-    let mut all = Vec::with_capacity(3 * width * height);
-    for y in 0..height {
-        all.extend_from_slice(bytes.get(y * stride..y * stride + 3 * width).context("a picture is cut off")?);
-    }
-    Ok(Picture::new(width, height, all))
-}
 
 /// Mean of the three channels of the right view at a place between pixels of one row.
 fn sample(view: &Picture, x: f32, y: usize) -> f32 {
@@ -131,19 +117,12 @@ impl Judge<'_> {
             "mode = \"batch\"\nplugins = [\"phantom\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ scene = \"{scene}\", specular = 0.0, noise = {noise:?}, right_exposure = 1.0, speed_mm_s = 0.0 }}\n"
         );
         let ports = [("scope", "left"), ("scope", "right"), ("scope", "disparity"), ("scope", "visible")];
-        let plan = Plan {
-            text: &text,
-            path: Path::new("eval.toml"),
-            frames: Some(6),
-            threads: 0,
-            ports: &ports,
-            pace: Pace::Free,
-        };
+        let plan = Plan { text: &text, frames: Some(6), ports: &ports, ..Plan::default() };
         let seen = run::run(self.session, &plan)?;
         let packet = |index: usize| seen.packets[index].as_ref().context("the phantom gave nothing");
         let disparity = floats(packet(2)?).context("a map is cut off")?;
         let visible = packet(3)?.bytes().to_vec();
-        let warped = warp(&bgr(packet(0)?)?, &bgr(packet(1)?)?, &disparity, &visible);
+        let warped = warp(&Picture::of(packet(0)?)?, &Picture::of(packet(1)?)?, &disparity, &visible);
         let case = format!("{scene}/{kind}");
         let input = format!("phantom {scene} 640x480 at 50 mm, no highlights, right view warped by the true disparity");
         self.add(format!("warp_difference/{case}"), warped.seen, "levels", &input);
@@ -165,14 +144,7 @@ impl Judge<'_> {
             "mode = \"batch\"\nplugins = [\"phantom\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ scene = \"{scene}\" }}\n"
         );
         let ports = [("scope", "left")];
-        let plan = Plan {
-            text: &text,
-            path: Path::new("eval.toml"),
-            frames: Some(FPS_TICKS),
-            threads: 2,
-            ports: &ports,
-            pace: Pace::Free,
-        };
+        let plan = Plan { text: &text, frames: Some(FPS_TICKS), threads: 2, ports: &ports, ..Plan::default() };
         // The best of three: whatever else the machine does only takes away.
         let mut best = 0.0f64;
         for _ in 0..3 {
@@ -216,14 +188,7 @@ params = {{ auto_offset = false, search_px = 64 }}
                 ("scope", "depth"),
                 ("told", "disparity"),
             ];
-            let plan = Plan {
-                text: &text,
-                path: Path::new("eval.toml"),
-                frames: Some(8),
-                threads: 0,
-                ports: &ports,
-                pace: Pace::Free,
-            };
+            let plan = Plan { text: &text, frames: Some(8), ports: &ports, ..Plan::default() };
             let seen = run::run(self.session, &plan)?;
             let map = |index: usize| -> Result<Vec<f32>> {
                 let packet = seen.packets[index].as_ref().context("a node gave nothing")?;

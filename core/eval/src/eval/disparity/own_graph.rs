@@ -1,7 +1,7 @@
 //! A graph of the user's, run on the pictures of a case instead of its own.
 
 use std::cell::Cell;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use panoscope_graph::{Catalog, GraphOptions, NodeType};
 use panoscope_host::loader::graph_file;
@@ -9,8 +9,9 @@ use panoscope_imaging::stereo::length::Noise;
 use toml::{Table, Value};
 
 use super::data::Picture;
+use super::picture;
 use crate::error::{Context, EvalError, FileAction, OnFile, Result, bail, ensure};
-use crate::inputs::references::{node_of, references, upstream};
+use crate::inputs::references::{for_evaluation, node_of, references, upstream};
 use crate::inputs::{Folder, level};
 use crate::packets::floats;
 use crate::run;
@@ -55,14 +56,11 @@ impl OwnGraph {
         let ready =
             graph_file::open(&request.path, &request.given).map_err(|diagnostics| EvalError::Check { diagnostics })?;
         let mut graph: Table = ready.text.settled(&ready.catalog).context("the settings")?.parse()?;
-        graph.remove("preset");
-        graph.remove("editor");
-        graph.insert("mode".to_owned(), "batch".into());
-        let Some(nodes) = graph.get_mut("nodes").and_then(Value::as_table_mut) else {
+        let Some(nodes) = for_evaluation(&mut graph) else {
             return Err(refuse("it has no nodes".to_owned()));
         };
         let disparity = match &request.disparity[..] {
-            "" => only_disparity(nodes, &ready.catalog).map_err(refuse)?,
+            "" => only_disparity(nodes, &ready.catalog, refuse)?,
             named => ready.text.resolve_output(named),
         };
         let Some((node, port)) = disparity.split_once('.').filter(|(node, _)| nodes.contains_key(*node)) else {
@@ -119,8 +117,9 @@ impl OwnGraph {
         let folder = self.work.path().join(self.pairs.replace(self.pairs.get() + 1).to_string());
         std::fs::create_dir_all(&folder).on_file(FileAction::Create, &folder)?;
         let file = |name: &str| folder.join(name);
-        save(&file("left.png"), left)?;
-        save(&file("right.png"), right)?;
+        for (name, view) in [("left.png", left), ("right.png", right)] {
+            picture::view(&file(name), (view.width, view.height), view.bgr.clone())?;
+        }
         let size = (left.width as u32, left.height as u32);
         panoscope_data::calibration::write(&file("scope.yml"), &level::calibration(size))?;
         let text = |name: &str| Value::from(file(name).to_string_lossy().into_owned());
@@ -138,14 +137,7 @@ impl OwnGraph {
         let mut ports = vec![(&node[..], &port[..])];
         ports.extend(self.confidence.iter().map(|port| (&node[..], &port[..])));
         let text = graph.to_string();
-        let plan = run::Plan {
-            text: &text,
-            path: &self.path,
-            frames: Some(1),
-            threads: 0,
-            ports: &ports,
-            pace: run::Pace::Free,
-        };
+        let plan = run::Plan { text: &text, path: &self.path, frames: Some(1), ports: &ports, ..run::Plan::default() };
         let seen = run::run(session, &plan)?;
         let Some(packet) = &seen.packets[0] else { bail!("{node}.{port} gave nothing") };
         let described = packet.frame();
@@ -179,7 +171,7 @@ fn type_of<'a>(node: &Value, catalog: &'a Catalog) -> Option<&'a NodeType> {
 }
 
 /// The disparity that no other node makes a disparity of; an error names all where there are several.
-fn only_disparity(nodes: &Table, catalog: &Catalog) -> std::result::Result<String, String> {
+fn only_disparity(nodes: &Table, catalog: &Catalog, refuse: impl FnOnce(String) -> EvalError) -> Result<String> {
     let of = |id: &str| {
         let node_type = nodes.get(id).and_then(|node| type_of(node, catalog)).filter(|node_type| !node_type.source)?;
         let port = node_type.outputs.iter().find(|port| port.packet.name == "disparity")?;
@@ -196,16 +188,10 @@ fn only_disparity(nodes: &Table, catalog: &Catalog) -> std::result::Result<Strin
     let ends: Vec<&String> = made.iter().filter(|output| !is_read(output)).collect();
     match &ends[..] {
         [one] => Ok((*one).clone()),
-        [] => Err("no node gives a disparity: there is nothing to judge".to_owned()),
+        [] => Err(refuse("no node gives a disparity: there is nothing to judge".to_owned())),
         several => {
             let list: Vec<&str> = several.iter().map(|output| output.as_str()).collect();
-            Err(format!("it has several disparities, {}: name one with --disparity", list.join(", ")))
+            Err(refuse(format!("it has several disparities, {}: name one with --disparity", list.join(", "))))
         }
     }
-}
-
-fn save(path: &Path, picture: &Picture) -> Result<()> {
-    let rgb: Vec<u8> = picture.bgr.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect();
-    let image = image::RgbImage::from_raw(picture.width as u32, picture.height as u32, rgb);
-    image.context("a picture of another size")?.save(path).on_file(FileAction::Write, path)
 }

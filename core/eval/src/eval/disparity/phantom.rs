@@ -3,7 +3,7 @@
 use super::data::Picture;
 use super::judge::{Judge, Truth};
 use crate::error::{Context, Result};
-use crate::packets::{bytes, floats};
+use crate::packets::floats;
 use crate::ruler::{DISTANCES_MM, Ruler, SIZE, graph, plan, points};
 use crate::run;
 
@@ -57,13 +57,10 @@ impl Judge<'_> {
         for (index, (chain, _)) in CHAINS.iter().enumerate() {
             self.against(&case, chain, SIZE, &map(chains + index)?, &truth, &input)?;
         }
-        if self.own.is_some() {
-            let picture = |index: usize| -> Result<Picture> {
-                Ok(Picture::new(SIZE.0, SIZE.1, bytes(packet(index)?, 3).context("a picture is cut off")?))
-            };
-            if let Some(made) = self.own_graph(&picture(views)?, &picture(views + 1)?)? {
-                self.against(&case, made.chain, SIZE, &made.disparity, &truth, &input)?;
-            }
+        if self.own.is_some()
+            && let Some(made) = self.own_graph(&Picture::of(packet(views)?)?, &Picture::of(packet(views + 1)?)?)?
+        {
+            self.against(&case, made.chain, SIZE, &made.disparity, &truth, &input)?;
         }
         let found = map(3)?;
         let mut errors: Vec<f32> =

@@ -2,19 +2,14 @@
 
 use std::path::Path;
 
-use crate::error::{Context, FileAction, OnFile, Result};
+use crate::canvas::Canvas;
+use crate::error::Result;
 use panoscope_imaging::draw::{Colormap, colorize};
 use panoscope_imaging::{View, ViewMut};
 
-fn save(path: &Path, size: (usize, usize), mut bgr: Vec<u8>) -> Result<()> {
-    bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
-    let image = image::RgbImage::from_raw(size.0 as u32, size.1 as u32, bgr).context("a picture of another size")?;
-    image.save(path).on_file(FileAction::Write, path)
-}
-
 /// A view as it is.
-pub fn view(path: &Path, size: (usize, usize), bgr: &[u8]) -> Result<()> {
-    save(path, size, bgr.to_vec())
+pub fn view(path: &Path, (width, height): (usize, usize), bgr: Vec<u8>) -> Result<()> {
+    Canvas { width, height, bgr }.save(path)
 }
 
 /// A map in colours from its 2nd to its 98th percentile, unknown places dark gray.
@@ -31,7 +26,7 @@ pub fn map(path: &Path, size: (usize, usize), values: &[f32]) -> Result<()> {
         Colormap::Rainbow,
         &mut ViewMut::new(&mut bgr, size.0, size.1, 3),
     );
-    save(path, size, bgr)
+    view(path, size, bgr)
 }
 
 /// Errors: white none, over yellow to red from 4 px on; missing values blue, unknown truth black.
@@ -54,5 +49,5 @@ pub fn errors(
         let fade = |from: f32, to: f32| (from + (to - from) * part) as u8;
         [fade(255.0, 0.0), (255.0 * (1.0 - part * part)) as u8, fade(255.0, 200.0)]
     };
-    save(path, size, (0..size.0 * size.1).flat_map(colour).collect())
+    view(path, size, (0..size.0 * size.1).flat_map(colour).collect())
 }

@@ -180,19 +180,14 @@ impl Stated {
             ("depths, match alone", &self.depths.matched, 3),
             ("lengths, match alone", &self.lengths.matched, 4),
         ];
-        let line = |name: &str, points: Vec<(f64, f64)>| Series {
-            name: name.to_owned(),
-            style: Style::Line,
-            color: 2,
-            points,
-        };
+        let line = |name: &str, points: Vec<(f64, f64)>| Series::new(name, Style::Line, 2, points);
         // Share of a normal distribution within so many standard deviations; the bound is two.
         let normal = [(0.674, 50.0), (1.036, 70.0), (1.282, 80.0), (1.645, 90.0), (2.0, 95.45), (2.576, 99.0)];
         let mut held = vec![line("as stated", vec![(50.0, 50.0), (100.0, 100.0)])];
         let mut sizes = vec![line("95 % within", vec![(0.0, 0.0), (4.0, 4.0)])];
         for (name, all, color) in kinds {
             let points = normal.iter().map(|(deviations, share)| (*share, within(all, deviations / 2.0))).collect();
-            held.push(Series { name: name.to_owned(), style: Style::Line, color, points });
+            held.push(Series::new(name, Style::Line, color, points));
             let mut sorted = all.to_vec();
             sorted.sort_by(|a, b| a.bound_mm.total_cmp(&b.bound_mm));
             let parts = sorted.chunks((sorted.len() / 20).max(MIN_PART)).filter(|part| part.len() >= MIN_PART);
@@ -202,7 +197,7 @@ impl Stated {
             let part: Vec<&[Bounded]> = parts.collect();
             for (label, share, style) in [("95 %", 0.95, Style::Dots), ("median", 0.5, Style::Line)] {
                 let points = part.iter().map(|part| of(part, share)).filter(|(bound, _)| *bound < 4.0).collect();
-                sizes.push(Series { name: format!("{label} of {name}"), style, color, points });
+                sizes.push(Series::new(format!("{label} of {name}"), style, color, points));
             }
         }
         let charts = [

@@ -154,7 +154,7 @@ impl Judge<'_> {
                 all[index].2.add(left, &made, *seed);
             }
             if let Some(folder) = self.pictures {
-                picture::view(&folder.join(format!("{case}_{name}_{seed}_left.png")), size, &left.bgr)?;
+                picture::view(&folder.join(format!("{case}_{name}_{seed}_left.png")), size, left.bgr.clone())?;
                 picture::map(&folder.join(format!("{case}_{name}_{seed}_truth.png")), size, &left.disparity)?;
             }
         }

@@ -6,7 +6,7 @@ mod study;
 mod trace;
 mod tracks;
 
-use panoscope_tracking::skill::motions::{self, Timing};
+use panoscope_arm_core::tracking::skill::motions::{self, Timing};
 
 use crate::error::{Context, Result};
 use crate::figures::Figure;

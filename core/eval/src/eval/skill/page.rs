@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use panoscope_tracking::skill::measures::FIGURES;
-use panoscope_tracking::skill::{Measures, Movement};
+use panoscope_arm_core::tracking::skill::measures::FIGURES;
+use panoscope_arm_core::tracking::skill::{Measures, Movement};
 
 use super::study::{SkillStudy, shown};
 use crate::svg::{Axis, COLORS, Plot, STYLE, WIDTH, escaped};
@@ -96,7 +96,7 @@ pub fn page(study: &SkillStudy) -> String {
     movements(&mut out, study);
     if study.session.phases().len() > 1 {
         for (phase, name) in study.session.phases().iter().enumerate() {
-            let of = |tool: &panoscope_tracking::skill::ToolReport<'_>| !tool.phases[phase].is_empty();
+            let of = |tool: &panoscope_arm_core::tracking::skill::ToolReport<'_>| !tool.phases[phase].is_empty();
             let tools: Vec<_> = study.session.tools().filter(of).collect();
             let name = if name.is_empty() { "(no phase)" } else { name };
             let _ = writeln!(out, "<h2>Phase: {}</h2>", escaped(name));

@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use panoscope_arm_core::tracking::skill::measures::FIGURES;
+use panoscope_arm_core::tracking::skill::{self, Measures, Movement, Settings, Together};
 use panoscope_engine::text_table::table;
-use panoscope_tracking::skill::measures::FIGURES;
-use panoscope_tracking::skill::{self, Measures, Movement, Settings, Together};
 use serde_json::{Map, Value, json};
 
 use super::options::Options;

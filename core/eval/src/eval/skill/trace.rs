@@ -1,7 +1,7 @@
 //! Data for plots of a tool, in bounded memory.
 
-use panoscope_tracking::skill::measures::Activity;
-use panoscope_tracking::skill::{CELL_S, Cell, Movement};
+use panoscope_arm_core::tracking::skill::measures::Activity;
+use panoscope_arm_core::tracking::skill::{CELL_S, Cell, Movement};
 
 /// Maximum number of time parts; beyond it pairs are merged.
 const MAX_PARTS: usize = 1200;
@@ -105,7 +105,7 @@ impl Trace {
 
 #[cfg(test)]
 mod tests {
-    use panoscope_tracking::skill::local_fit::State;
+    use panoscope_arm_core::tracking::skill::local_fit::State;
 
     use super::*;
 

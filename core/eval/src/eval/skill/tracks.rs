@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use crate::error::{Context, Result, bail};
-use panoscope_tracking::skill::Sample;
+use panoscope_arm_core::tracking::skill::Sample;
 
 /// A line of a track.
 #[derive(Clone, Debug)]

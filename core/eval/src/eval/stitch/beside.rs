@@ -144,14 +144,9 @@ pub fn judged(session: &dyn Session, methods: &[Method], source: &Source, frames
     let names: Vec<String> = (0..methods.len()).map(|index| format!("judge_{index}")).collect();
     let ports: Vec<(&str, &str)> = names.iter().map(|name| (name.as_str(), "table")).collect();
     let path = Path::new("eval.toml");
-    let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
+    let plan = Plan { text: &text, path, frames: Some(frames), ports: &ports, ..Plan::default() };
     let seen = run::run(session, &plan)?;
-    let read = |packet: &Option<_>| -> Result<packets::Table> {
-        let packet: &panoscope_engine::memory::FrameRef =
-            packet.as_ref().context("the evaluating node received no packets")?;
-        packets::Table::read(packet.bytes()).context("the table of the evaluating node is malformed")
-    };
-    seen.packets.iter().map(read).collect()
+    seen.packets.iter().map(|packet| packets::Table::of_judge(packet.as_ref())).collect()
 }
 
 /// Median times of one graph on a source, one frame at a time, ms.
@@ -182,14 +177,7 @@ pub fn timed(session: &dyn Session, method: &Method, source: &Source, frames: u6
     let wide = wiring.composites[0].id.clone();
     wiring.add("timed_sink", "drain", &[("image", format!("{wide}.panorama"))], Table::new());
     let text = wiring.text();
-    let plan = Plan {
-        text: &text,
-        path: Path::new("eval.toml"),
-        frames: Some(frames),
-        threads: 0,
-        ports: &[],
-        pace: Pace::Alone,
-    };
+    let plan = Plan { text: &text, frames: Some(frames), pace: Pace::Alone, ..Plan::default() };
     let report = run::run(session, &plan)?.report;
     let p50 = |id: &str| report.nodes.get(id).map_or(f64::NAN, |node| node.p50_ms);
     let registration_ms = method.wiring.registration().iter().map(|(id, _)| p50(id)).sum();

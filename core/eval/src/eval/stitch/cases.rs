@@ -15,7 +15,7 @@ use super::sources::{self, Source};
 use super::tally::{self, StitchScore};
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
-use crate::inputs::{Folder, find};
+use crate::inputs::{Folder, find, wants};
 use crate::packets::Table;
 use crate::plot::{self, Chart, Series, Style};
 use crate::session::{Session, note};
@@ -232,19 +232,12 @@ fn charts(names: &[&str], all: &[CaseResult]) -> Vec<Chart> {
         all.iter().enumerate().map(|(at, judged)| (at as f64, judged.name.clone())).collect();
     let wanted = MEASURES.iter().filter(|measure| measure.name != "wrong_share");
     let of = |measure: &Measure| {
-        let line = |(index, name): (usize, &&str)| Series {
-            name: (*name).to_owned(),
-            style: Style::Dots,
-            color: index,
+        let line = |(index, name): (usize, &&str)| {
             // Side by side, so that equal values stay apart.
-            points: all
-                .iter()
-                .enumerate()
-                .map(|(at, judged)| {
-                    let shift = (index as f64 - (names.len() as f64 - 1.0) / 2.0) * 0.12;
-                    (at as f64 + shift, (measure.value)(&judged.outcomes[index]))
-                })
-                .collect(),
+            let shift = (index as f64 - (names.len() as f64 - 1.0) / 2.0) * 0.12;
+            let value =
+                |(at, judged): (usize, &CaseResult)| (at as f64 + shift, (measure.value)(&judged.outcomes[index]));
+            Series::new(*name, Style::Dots, index, all.iter().enumerate().map(value).collect())
         };
         let (table, label) = measure.title.split_once(": ").unwrap_or(("Stability", measure.title));
         Chart {
@@ -313,7 +306,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let work = Folder::new("panoscope-eval")?;
     let methods = beside::methods(&options.graphs, &METHODS, &options.given, &options.settings)?;
     let names: Vec<&str> = methods.iter().map(|method| method.name.as_str()).collect();
-    let wanted = |name: &str| options.only.is_empty() || options.only.iter().any(|only| only == name);
+    let wanted = |name: &str| wants(&options.only, name);
     let mut all = Vec::new();
     for case in CASES.iter().filter(|case| wanted(case.name)) {
         note!(session, "{}: {}", case.name, case.title);

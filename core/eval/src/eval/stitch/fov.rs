@@ -4,7 +4,7 @@
 //! `fov_total_pct` is the area of tissue that the panorama shows over the area of one view, in pixels of the reference
 //! view; `fov_gain_pct` is the part above 100. A wrong homography can stretch a view over a large canvas, so a pixel
 //! counts only when the phantom's footprint of all cameras has it, and a frame counts as one view (100 %) if a
-//! registration is lost or its error exceeds [`WRONG`].
+//! registration is lost or not [right](is_right).
 
 use std::path::PathBuf;
 
@@ -12,12 +12,11 @@ use panoscope_engine::text_table::table;
 use panoscope_graph::GraphOptions;
 
 use super::graphs;
-use super::incidents::WRONG;
 use crate::error::{EvalError, Result};
 use crate::figures::Figure;
 use crate::inputs::wiring::{Composite, JudgeInputs, Wiring};
 use crate::packets::Table;
-use crate::registration::run_judged;
+use crate::registration::{FRESH, is_right, run_judged};
 use crate::session::Session;
 use crate::statistics::{mean, rms};
 
@@ -25,8 +24,7 @@ use crate::statistics::{mean, rms};
 const SCENES: [&str; 2] = ["bowel", "liver"];
 /// Width of the image in which the true footprint is drawn, in views: the second view may lie next to the first one.
 const WIDE_FACTOR: f64 = 3.0;
-/// Code of a fresh registration in the evaluating node's table.
-const FRESH: f64 = 0.0;
+/// Code of a held registration in the evaluating node's table.
 const HELD: f64 = 1.0;
 /// Area of one view, percent.
 const ONE_VIEW_PCT: f64 = 100.0;
@@ -82,8 +80,7 @@ fn verdict(state: f64, align_px: f64, floor_px: f64) -> Verdict {
     if state != FRESH && state != HELD {
         return Verdict::Lost;
     }
-    // NaN is no proof of being right.
-    match align_px <= WRONG.0 * floor_px + WRONG.1 {
+    match is_right(align_px, floor_px) {
         true if state == FRESH => Verdict::Fresh,
         true => Verdict::Held,
         false => Verdict::Wrong,

@@ -1,14 +1,12 @@
 //! Behaviour of a registration during a fault, and its recovery time.
 
 use crate::packets::Table;
+use crate::registration::{FRESH, is_right};
 
 /// First affected image, and number of affected images.
 pub const WINDOW: (i64, i64) = (20, 10);
 /// Ticks of a run, with enough good ones after the bad ones.
 pub const TICKS: u64 = (WINDOW.0 + WINDOW.1) as u64 + 10;
-/// A registration is wrong if its error exceeds this multiple of the best plane's error plus this many px.
-pub const WRONG: (f64, f64) = (2.0, 6.0);
-const FRESH: f64 = 0.0;
 
 /// A fault that the phantom can render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,8 +60,7 @@ pub struct Recovery {
 pub fn recovery(incident: &Incident, rows: &Table) -> Option<Recovery> {
     let (state, align, floor) = (rows.column("state")?, rows.column("align_px")?, rows.column("floor_px")?);
     let fresh = |tick: usize| state.get(tick) == Some(&FRESH);
-    // NaN is no proof of being right.
-    let right = |tick: usize| fresh(tick) && align[tick] <= WRONG.0 * floor[tick] + WRONG.1;
+    let right = |tick: usize| fresh(tick) && is_right(align[tick], floor[tick]);
     let first = WINDOW.0 as usize;
     let end = first + if incident.at_once { 0 } else { WINDOW.1 as usize };
     let back = (end..state.len()).find(|tick| right(*tick));

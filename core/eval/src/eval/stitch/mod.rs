@@ -217,7 +217,7 @@ fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Cha
             .map(|(points, name, color)| {
                 // Some measures are taken on every few ticks only.
                 let points: Vec<_> = points.into_iter().filter(|p| p.1.is_finite()).collect();
-                Series { name: name.to_owned(), style: Style::Line, color, points }
+                Series::new(name, Style::Line, color, points)
             })
             .filter(|series| !series.points.is_empty())
             .collect();
@@ -226,7 +226,7 @@ fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Cha
         }
         if column == "align_px" {
             let points = of(rows, "floor_px").into_iter().filter(|p| p.1.is_finite()).collect();
-            series.push(Series { name: "best plane".to_owned(), style: Style::Line, color: 2, points });
+            series.push(Series::new("best plane", Style::Line, 2, points));
         }
         let title = [case, name].into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(" ");
         all.push(Chart {
@@ -235,8 +235,7 @@ fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Cha
             y_label: label.to_owned(),
             series,
             from_zero: column == "align_px",
-            log: false,
-            words: Vec::new(),
+            ..Chart::default()
         });
     }
     all

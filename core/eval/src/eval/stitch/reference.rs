@@ -11,22 +11,22 @@ use panoscope_engine::Listener;
 use panoscope_engine::memory::FrameRef;
 use panoscope_imaging::features::{RegisterParams, RegisterSurf};
 use panoscope_imaging::geometry::{Homography, Point};
-use panoscope_imaging::stitch::evaluate::TruePairs;
+use panoscope_imaging::stitch::evaluate::{RegionSimilarity, TruePairs};
 use panoscope_imaging::stitch::judge::{DrawnPanorama, PictureMarks, WideTruth, compare_pictures, correlated};
 use panoscope_imaging::stitch::placement::Placement;
 use panoscope_imaging::stitch::{BlendMethod, CompositeParams, Compositor, GeometryState, IDENTITY, Mesh, SeamMethod};
 use panoscope_imaging::{Rect, View, ViewMut};
 
 use super::apap::{self, MovingDlt};
-use super::pictures::Picture;
 use super::{Marks, SETTLE};
+use crate::canvas::Canvas;
 use crate::error::{Context, Result};
 use crate::inputs::wiring::Wiring;
-use crate::packets;
-use crate::registration::Registration;
-use crate::run::{self, Pace, Plan, Watchers};
+use crate::packets::{self, Table};
+use crate::registration::{FRESH, registration};
+use crate::run::{self, Plan, Watchers};
 use crate::session::{Session, check_cancelled};
-use crate::statistics::{finite, mean, rms};
+use crate::statistics::rms;
 
 /// One of this many ticks is evaluated, as often as the evaluating node compares images.
 const EVERY: u64 = 3;
@@ -50,21 +50,27 @@ struct Stitched {
     shown: Vec<u8>,
 }
 
-/// Measures of one tick; NaN without ground truth.
-#[derive(Clone, Copy, Debug)]
-struct Row {
-    align_px: f64,
-    floor_px: f64,
-    psnr_overlap_db: f64,
-    ssim_overlap: f64,
-    psnr_seam_db: f64,
-    ssim_seam: f64,
-    seam_break_px: (f64, f64),
-    ghost_pct: f64,
-    stretch_pct: f64,
-    fov_pct: f64,
-    motion_px: f64,
-}
+/// Columns of a tick's measures, named as the evaluating node names them.
+const COLUMNS: [&str; 14] = [
+    "state",
+    "align_px",
+    "floor_px",
+    "psnr_overlap_db",
+    "ssim_overlap",
+    "psnr_seam_db",
+    "ssim_seam",
+    "seam_break_px",
+    "seam_break_p95_px",
+    "ghost_pct",
+    "stretch_pct",
+    "fov_pct",
+    "cropped_pct",
+    "move_px",
+];
+/// State of a tick without a warp, and its position among the columns.
+const LOST: (f64, usize) = (2.0, 0);
+/// Measures of one tick, in the order of [`COLUMNS`]; NaN without ground truth.
+type Row = [f64; COLUMNS.len()];
 
 /// View of an image or map in its packet.
 fn view(frame: &FrameRef, channels: usize) -> Option<View<'_, u8>> {
@@ -158,23 +164,28 @@ fn judge_tick(
         compare_pictures(&panorama, &wide, sizes, &stitched.left_from_right, BAND_PX)
     });
     let covered = stitched.shown.iter().filter(|view| **view != 0).count();
-    Some(Row {
+    let seam_break_px = pairs(1).and_then(|pairs| placed.seam_break(&pairs, shown, VIEW, stitched.left_at));
+    let likeness = |of: Option<RegionSimilarity>| of.map_or([NONE; 2], |l| [l.psnr_db, l.ssim]);
+    let ([psnr_overlap_db, ssim_overlap], [psnr_seam_db, ssim_seam]) = (likeness(marks.whole), likeness(marks.seam));
+    let (median_px, p95_px) = seam_break_px.unwrap_or((NONE, NONE));
+    let whole_left = Rect::whole(left.width, left.height);
+    Some([
+        FRESH,
         align_px,
         floor_px,
-        psnr_overlap_db: marks.whole.map_or(NONE, |l| l.psnr_db),
-        ssim_overlap: marks.whole.map_or(NONE, |l| l.ssim),
-        psnr_seam_db: marks.seam.map_or(NONE, |l| l.psnr_db),
-        ssim_seam: marks.seam.map_or(NONE, |l| l.ssim),
-        seam_break_px: pairs(1)
-            .and_then(|pairs| placed.seam_break(&pairs, shown, VIEW, stitched.left_at))
-            .unwrap_or((NONE, NONE)),
-        ghost_pct: marks.ghost_pct.unwrap_or(NONE),
-        stretch_pct: placed
-            .stretch_pct(shown, VIEW, Rect::whole(left.width, left.height), stitched.left_at)
-            .unwrap_or(NONE),
-        fov_pct: 100.0 * covered as f64 / (left.width * left.height).max(1) as f64,
-        motion_px: previous.and_then(|previous| placed.motion_px(previous, sizes[1])).unwrap_or(NONE),
-    })
+        psnr_overlap_db,
+        ssim_overlap,
+        psnr_seam_db,
+        ssim_seam,
+        median_px,
+        p95_px,
+        marks.ghost_pct.unwrap_or(NONE),
+        placed.stretch_pct(shown, VIEW, whole_left, stitched.left_at).unwrap_or(NONE),
+        100.0 * covered as f64 / (left.width * left.height).max(1) as f64,
+        // Its canvas always covers both views.
+        NONE,
+        previous.and_then(|previous| placed.motion_px(previous, sizes[1])).unwrap_or(NONE),
+    ])
 }
 
 /// Root mean square distance of a placement from a plane over the points of the right view that the plane maps into the
@@ -215,14 +226,14 @@ fn collect(
         })
     });
     let text = pictures.text();
-    let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &[], pace: Pace::Free };
+    let plan = Plan { text: &text, path, frames: Some(frames), ..Plan::default() };
     run::run_watched(session, &plan, Watchers { listen: listen.collect(), ..Watchers::default() })?;
     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
     Ok(std::mem::take(&mut *kept))
 }
 
 /// A row for each evaluated tick, `None` if there is no warp, and the last panorama.
-type Rows = (Vec<Option<Row>>, Option<Picture>);
+type Rows = (Vec<Option<Row>>, Option<Canvas>);
 
 fn rows(session: &dyn Session, wiring: &Wiring, path: &Path, frames: u64) -> Result<Option<Rows>> {
     let Some((pictures, ports)) = wiring.pictures() else { return Ok(None) };
@@ -237,7 +248,7 @@ fn rows(session: &dyn Session, wiring: &Wiring, path: &Path, frames: u64) -> Res
         let row = stitched.as_ref().and_then(|s| judge_tick(s, previous.as_ref(), packets, [left, right]));
         rows.push(row);
         previous = stitched.map(|s| {
-            picture = Some(Picture { width: s.size.0, height: s.size.1, bgr: s.picture });
+            picture = Some(Canvas { width: s.size.0, height: s.size.1, bgr: s.picture });
             s.placed
         });
     }
@@ -249,7 +260,7 @@ pub(super) struct Reference {
     /// Its measures in all runs.
     pub marks: Marks,
     /// The last panorama.
-    pub picture: Option<Picture>,
+    pub picture: Option<Canvas>,
 }
 
 /// Evaluates the reference method on the images of a graph; `None` for more than two views. `still`: settings for still
@@ -262,30 +273,18 @@ pub(super) fn judge(
     frames: u64,
 ) -> Result<Option<Reference>> {
     let Some((rows, picture)) = self::rows(session, wiring, path, frames)? else { return Ok(None) };
-    let count = rows.len();
-    let rows: Vec<Row> = rows.into_iter().flatten().collect();
-    let column = |of: fn(&Row) -> f64| rows.iter().map(of).collect::<Vec<f64>>();
+    let mut lost = [f64::NAN; COLUMNS.len()];
+    lost[LOST.1] = LOST.0;
+    let table = Table {
+        names: COLUMNS.map(str::to_owned).to_vec(),
+        rows: rows.into_iter().map(|row| row.unwrap_or(lost).to_vec()).collect(),
+    };
     let mut jitter_px = f64::NAN;
     if let Some(still) = still {
         let (rows, _) = self::rows(session, still, path, frames.min(40))?.context("the views are the same")?;
-        let motion_px: Vec<f64> = rows.into_iter().flatten().map(|row| row.motion_px).collect();
+        let motion_px: Vec<f64> = rows.into_iter().flatten().map(|row| row[COLUMNS.len() - 1]).collect();
         jitter_px = rms(motion_px.get(SETTLE.div_ceil(EVERY as usize)..).unwrap_or_default());
     }
-    let registration = Registration {
-        stitched_pct: 100.0 * rows.len() as f64 / count.max(1) as f64,
-        align_px: rms(&column(|row| row.align_px)),
-        floor_px: rms(&column(|row| row.floor_px)),
-        psnr_overlap_db: mean(&column(|row| row.psnr_overlap_db)),
-        ssim_overlap: mean(&column(|row| row.ssim_overlap)),
-        psnr_seam_db: mean(&column(|row| row.psnr_seam_db)),
-        ssim_seam: mean(&column(|row| row.ssim_seam)),
-        seam_break_px: (mean(&column(|row| row.seam_break_px.0)), mean(&column(|row| row.seam_break_px.1))),
-        ghost_pct: mean(&column(|row| row.ghost_pct)),
-        stretch_pct: finite(&column(|row| row.stretch_pct)).fold(f64::NAN, f64::max),
-        fov_pct: mean(&column(|row| row.fov_pct)),
-        // Its canvas always covers both views.
-        cropped_pct: f64::NAN,
-    };
-    let marks = Marks { registration, jitter_px, recovery: Vec::new() };
+    let marks = Marks { registration: registration(&table)?, jitter_px, recovery: Vec::new() };
     Ok(Some(Reference { marks, picture }))
 }

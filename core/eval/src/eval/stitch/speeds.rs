@@ -119,11 +119,9 @@ fn tables(methods: &[Method], points: &[Point]) -> String {
 }
 
 fn charts(methods: &[Method], points: &[Point]) -> Vec<Chart> {
-    let line = |name: &str, color: usize, value: &dyn Fn(&Point) -> f64| Series {
-        name: name.to_owned(),
-        style: Style::Line,
-        color,
-        points: points.iter().map(|point| (point.speed_cm_s, value(point))).collect(),
+    let line = |name: &str, color: usize, value: &dyn Fn(&Point) -> f64| {
+        let at = |point: &Point| (point.speed_cm_s, value(point));
+        Series::new(name, Style::Line, color, points.iter().map(at).collect())
     };
     let all = |value: Measure| -> Vec<Series> {
         methods.iter().enumerate().map(|(i, m)| line(&m.name, i, &|point| value(&point.tallies[i]))).collect()

@@ -1,11 +1,8 @@
 //! Counts the stitched frames of a run.
 
-use super::incidents::WRONG;
-use crate::error::{EvalError, Result};
+use crate::error::Result;
 use crate::packets::Table;
-
-/// Code of a fresh registration.
-const FRESH: f64 = 0.0;
+use crate::registration::{FRESH, WRONG, is_right};
 
 /// The rule by which a frame counts as stitched, as a note below tables.
 pub fn rule() -> String {
@@ -35,9 +32,7 @@ impl StitchScore {
     /// `floors_px`: alignment error of the best plane in each tick; NaN where it is unknown, and such a tick is not
     /// evaluated.
     pub fn of(rows: &Table, floors_px: &[f64], settle: usize) -> Result<Self> {
-        let column = |name: &str| {
-            rows.column(name).ok_or_else(|| EvalError::Column { table: "the table", column: name.to_owned() })
-        };
+        let column = |name: &str| rows.required("the table", name);
         let (state, align) = (column("state")?, column("align_px")?);
         let mut tally = Self::default();
         for tick in settle..state.len() {
@@ -49,8 +44,7 @@ impl StitchScore {
             if state[tick] != FRESH {
                 continue;
             }
-            // NaN is no proof of being right.
-            let right = align[tick] <= WRONG.0 * floor_px + WRONG.1;
+            let right = is_right(align[tick], floor_px);
             tally.stitched += usize::from(right);
             tally.wrong += usize::from(!right);
             if right {

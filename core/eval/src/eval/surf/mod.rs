@@ -18,7 +18,7 @@ use self::plane::Plane;
 use crate::error::{Context, EvalError, FileAction, OnFile, Result, bail};
 use crate::figures::Figure;
 use crate::packets::Table;
-use crate::run::{self, Pace, Plan};
+use crate::run::{self, Plan};
 use crate::session::{Session, note};
 
 /// Folders of OpenCV's sample data in Debian and other systems.
@@ -39,11 +39,13 @@ const AKAZE_THRESHOLD: f64 = 1e-5;
 const MANY_POINTS: usize = 1500;
 
 /// Options of [`judge`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Folder with graf1.png, graf3.png and H1to3p.xml, needed if Debian's opencv-doc is not installed.
+    /// Folder with graf1.png, graf3.png and H1to3p.xml, when Debian's opencv-doc is not installed.
+    #[arg(long, value_name = "FOLDER")]
     pub data: Option<PathBuf>,
-    /// Parameters of `features_surf`, as `PARAM=VALUE`.
+    /// Sets a parameter of `features_surf`, to see its effect; repeatable.
+    #[arg(long = "set", value_name = "PARAM=VALUE")]
     pub settings: Vec<String>,
 }
 
@@ -115,8 +117,7 @@ fn measure(session: &dyn Session, data: &Data, plane: &Plane, node: &str) -> Res
         ("files", "left"),
         ("files", "right"),
     ];
-    let plan =
-        Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, pace: Pace::Free };
+    let plan = Plan { text: &text, ports: &ports, ..Plan::default() };
     let seen = run::run(session, &plan)?;
     let packet = |index: usize| seen.packets[index].as_ref().context("an output is empty");
     let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table is malformed");
@@ -158,6 +159,20 @@ fn peer(detector: &str, points: usize) -> String {
     )
 }
 
+/// A row of the table: points, repeatability, matches, precision.
+fn row(name: String, o: &Outcome) -> Vec<String> {
+    let percent = |share: f64| format!("{:.1} %", share * 100.0);
+    vec![
+        name,
+        format!("{}+{}", o.points.0, o.points.1),
+        percent(o.repeatability),
+        o.matches.to_string(),
+        o.correct.to_string(),
+        percent(o.precision),
+        percent(o.precision_on_plane()),
+    ]
+}
+
 /// Measures repeatability and precision of SURF at four numbers of points, compared with each of OpenCV's detectors.
 ///
 /// # Errors
@@ -174,19 +189,6 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let mut rows =
         vec![["case", "points", "repeated", "matches", "right", "precision", "on plane"].map(str::to_owned).to_vec()];
     let mut figures = Vec::new();
-    let mut line = |name: String, o: &Outcome| {
-        let percent = |share: f64| format!("{:.1} %", share * 100.0);
-        let points = format!("{}+{}", o.points.0, o.points.1);
-        rows.push(vec![
-            name,
-            points,
-            percent(o.repeatability),
-            o.matches.to_string(),
-            o.correct.to_string(),
-            percent(o.precision),
-            percent(o.precision_on_plane()),
-        ]);
-    };
     let gray =
         |path: &Path| -> Result<image::GrayImage> { Ok(image::open(path).on_file(FileAction::Read, path)?.to_luma8()) };
     let (first, second) = (gray(&data.first)?, gray(&data.second)?);
@@ -218,9 +220,9 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
                 bail!("no keypoints were found in {}", data.first.display());
             }
             let case = if wanted == 0 { "default".to_owned() } else { wanted.to_string() };
-            line(format!("SURF beside {detector}, {case}"), &ours);
-            line(format!("SURF extended, {case}"), &extended);
-            line(format!("OpenCV {detector}, {case}"), &theirs);
+            rows.push(row(format!("SURF beside {detector}, {case}"), &ours));
+            rows.push(row(format!("SURF extended, {case}"), &extended));
+            rows.push(row(format!("OpenCV {detector}, {case}"), &theirs));
             let input = format!("graf1/graf3, {equal} points");
             let named = detector.to_uppercase();
             let mut figure_in = |unit: &'static str, name: &str, value: f64, peer_value: f64| {

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
 use mcap::{McapError, WriteOptions, Writer};
+use panoscope_base::files;
 use serde::Serialize;
 
 use super::error::BagError;
@@ -116,8 +117,7 @@ impl BagWriter {
         let file = self.writer.into_inner().into_inner().map_err(|error| failed(&path, error.into_error()))?;
         file.sync_all().map_err(|cause| failed(&path, cause))?;
         let path = self.folder.join("metadata.yaml");
-        let part = self.folder.join("metadata.yaml.part");
-        fs::write(&part, text).and_then(|()| fs::rename(&part, &path)).map_err(|cause| failed(&path, cause))
+        files::replace(&path, text.as_bytes()).map_err(|cause| failed(&path, cause))
     }
 
     /// Text of `metadata.yaml`, version 5, which every distribution since Humble reads.

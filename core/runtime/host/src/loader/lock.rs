@@ -2,10 +2,9 @@
 //! them.
 
 use std::fmt;
-use std::fs::File;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use panoscope_base::files;
 use panoscope_graph::{Catalog, Graph, GraphText};
 use serde::{Deserialize, Serialize};
 
@@ -252,17 +251,7 @@ impl Lock {
         let text = toml::to_string(self).map_err(|e| fail(std::io::Error::other(e)))?;
         let name = graph.file_name().unwrap_or_default().to_string_lossy();
         let text = format!("# Written by `panoscope lock {name}`; the theatre compares it before it starts.\n{text}");
-        let part = file.with_extension(format!("lock.{}.part", std::process::id()));
-        let written = (|| {
-            let mut out = File::create(&part)?;
-            out.write_all(text.as_bytes())?;
-            out.sync_all()?;
-            std::fs::rename(&part, &file)
-        })();
-        if let Err(cause) = written {
-            let _ = std::fs::remove_file(&part);
-            return Err(fail(cause));
-        }
+        files::replace(&file, text.as_bytes()).map_err(fail)?;
         Ok(file)
     }
 

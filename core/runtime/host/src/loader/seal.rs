@@ -1,11 +1,11 @@
 //! The files that the nodes of a graph under its lock may read.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use panoscope_base::onnx;
-use panoscope_graph::{Catalog, Graph, ParamValue};
+use panoscope_graph::{Catalog, Graph, ParamValue, tidy};
 
 use crate::loader::depends::{self, DataFile, Named};
 use crate::loader::lock::Lock;
@@ -181,15 +181,7 @@ impl SealedFiles {
 /// The names under which a file is known: absolute without `.` and `..`, and with links followed. The first also finds
 /// the copy of a file that was removed or replaced since.
 fn names_of(file: &Path) -> impl Iterator<Item = PathBuf> {
-    let whole = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
-    let mut plain = PathBuf::new();
-    for part in whole.components() {
-        match part {
-            Component::CurDir => {}
-            Component::ParentDir => _ = plain.pop(),
-            part => plain.push(part),
-        }
-    }
+    let plain = tidy(file);
     let real = file.canonicalize().ok().filter(|real| *real != plain);
     std::iter::once(plain).chain(real)
 }

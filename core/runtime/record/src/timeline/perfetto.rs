@@ -4,10 +4,10 @@
 //! Each thread is a row, each call a slice with its tick and bytes; arrows follow a tick from call to call; dropped
 //! ticks are marks.
 
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
+use panoscope_base::files;
 use serde_json::{Value, json};
 
 use super::{Call, Timeline};
@@ -20,18 +20,11 @@ const PROCESS: u32 = 1;
 /// # Errors
 /// The file cannot be written.
 pub fn write(timeline: &Timeline, path: &Path) -> io::Result<()> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    let written = File::create(&partial).and_then(|file| {
+    files::replace_with(path, None, |file| {
         let mut out = BufWriter::new(file);
         events(timeline, &mut out)?;
-        out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()
-    });
-    let done = written.and_then(|()| std::fs::rename(&partial, path));
-    if done.is_err() {
-        let _ = std::fs::remove_file(&partial);
-    }
-    done
+        out.flush()
+    })
 }
 
 fn events(timeline: &Timeline, out: &mut dyn Write) -> io::Result<()> {

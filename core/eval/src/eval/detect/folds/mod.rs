@@ -13,8 +13,9 @@ use self::file::{Folds, SHIPPED};
 use self::resample::{Blocks, RESAMPLES, interval, resampled};
 use super::picture;
 use super::truth::{self, Truth};
-use crate::error::{EvalError, FileAction, OnFile, Result, bail};
+use crate::error::{EvalError, Result, bail};
 use crate::figures::Figure;
+use crate::inputs::{create, wants};
 use crate::session::{Session, check_cancelled, note};
 use panoscope_engine::text_table::table;
 use panoscope_imaging::detect::{Find, Object, Ranking, Scores, Shape, mean, score};
@@ -288,13 +289,11 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         let reason = format!("{} has no fold {unknown}; it has {}", file.path().display(), known.join(", "));
         return Err(EvalError::Options { reason });
     }
-    if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
-    }
+    create(options.pictures.as_deref())?;
     let truth = read_truth(session, &file, options)?;
     let mut folds = Vec::new();
     for (index, name) in file.folds.keys().enumerate() {
-        if options.only.is_empty() || options.only.contains(name) {
+        if wants(&options.only, name) {
             folds.push(judge_fold(name, &file, &truth, options, 1 + index as u64)?);
         }
         check_cancelled(session)?;

@@ -233,17 +233,8 @@ impl Answerer<'_> {
             return Ok(());
         }
         if asked == Kind::Save {
-            let bytes = reader.bytes()?;
-            self.spent.state_bytes += bytes.len();
-            if self.spent.state_bytes > MAX_STATE_BYTES {
-                return Err(self.spent.refuse("has a state of more than 256 MB"));
-            }
-            // SAFETY: the table that came with the sink takes bytes for it.
-            if let Some(save) = unsafe { (*self.target.host).save }.filter(|_| !self.target.sink.is_null()) {
-                // SAFETY: the bytes live until the call returns.
-                unsafe { save(self.target.sink, bytes.as_ptr(), bytes.len()) };
-            }
-            return Ok(());
+            // SAFETY: the caller's promise.
+            return unsafe { self.save(reader.bytes()?) };
         }
         if call.is_null() {
             return Err(BadMessage);
@@ -290,21 +281,8 @@ impl Answerer<'_> {
             }
             Kind::ClaimFile => {
                 let (action, path) = (reader.take()?, std::str::from_utf8(reader.bytes()?).map_err(|_| BadMessage)?);
-                self.spent.claims += 1;
-                if self.spent.claims > MAX_CLAIMS || path.len() > MAX_PATH_BYTES {
-                    return Err(self
-                        .spent
-                        .refuse("claims more than 1024 files in one call, or a path of more than 4096 bytes"));
-                }
-                let mut file = Str::EMPTY;
-                // SAFETY: the running call; path and place for the answer live until the call returns.
-                let status = host.claim_file.map_or(abi::STATUS_INVALID, |claim| unsafe {
-                    claim(call, Str::borrow(path), action, &raw mut file)
-                });
-                // SAFETY: the host's answer stays as it is until the next claim.
-                let file = unsafe { file.bytes() };
-                status.put(out);
-                put_bytes(file, out);
+                // SAFETY: the caller's promise.
+                unsafe { self.claim_file(action, path, out)? };
             }
             Kind::Clock => {
                 self.habits.clock = true;
@@ -320,6 +298,46 @@ impl Answerer<'_> {
             }
             _ => return Err(BadMessage),
         }
+        Ok(())
+    }
+
+    /// Adds bytes to the state that is saved, within the limit.
+    ///
+    /// # Safety
+    /// Table and sink of the target are valid.
+    unsafe fn save(&mut self, bytes: &[u8]) -> Result<(), BadMessage> {
+        self.spent.state_bytes += bytes.len();
+        if self.spent.state_bytes > MAX_STATE_BYTES {
+            return Err(self.spent.refuse("has a state of more than 256 MB"));
+        }
+        // SAFETY: the table that came with the sink takes bytes for it.
+        if let Some(save) = unsafe { (*self.target.host).save }.filter(|_| !self.target.sink.is_null()) {
+            // SAFETY: the bytes live until the call returns.
+            unsafe { save(self.target.sink, bytes.as_ptr(), bytes.len()) };
+        }
+        Ok(())
+    }
+
+    /// Claims a file for the node, within the limits, and writes the status and the file's path.
+    ///
+    /// # Safety
+    /// Table and call of the target are valid.
+    unsafe fn claim_file(&mut self, action: u32, path: &str, out: &mut Vec<u8>) -> Result<(), BadMessage> {
+        self.spent.claims += 1;
+        if self.spent.claims > MAX_CLAIMS || path.len() > MAX_PATH_BYTES {
+            return Err(self
+                .spent
+                .refuse("claims more than 1024 files in one call, or a path of more than 4096 bytes"));
+        }
+        let mut file = Str::EMPTY;
+        // SAFETY: the running call; path and place for the answer live until the call returns.
+        let status = self.host.claim_file.map_or(abi::STATUS_INVALID, |claim| unsafe {
+            claim(self.target.call, Str::borrow(path), action, &raw mut file)
+        });
+        // SAFETY: the host's answer stays as it is until the next claim.
+        let file = unsafe { file.bytes() };
+        status.put(out);
+        put_bytes(file, out);
         Ok(())
     }
 

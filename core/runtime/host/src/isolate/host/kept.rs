@@ -5,6 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::time::SystemTime;
 
+use panoscope_base::files;
+
 /// Maximum length of a description, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 /// Maximum number of descriptions that a folder keeps; the oldest are removed.
@@ -19,12 +21,7 @@ pub(super) fn read(file: &Path) -> Option<Vec<u8>> {
 /// Keeps a description: the file is complete or absent.
 pub(super) fn write(file: &Path, bytes: &[u8]) {
     let Some(folder) = file.parent() else { return };
-    let part = file.with_extension(format!("{}.part", std::process::id()));
-    let written =
-        fs::create_dir_all(folder).and_then(|()| fs::write(&part, bytes)).and_then(|()| fs::rename(&part, file));
-    if written.is_err() {
-        let _ = fs::remove_file(&part);
-    }
+    let _ = fs::create_dir_all(folder).and_then(|()| files::replace(file, bytes));
     remove_oldest(folder);
 }
 

@@ -4,8 +4,6 @@
 //! hidden; [`skill`] measures surgical skill; [`proximity`] measures distances from tips to tissue and between tips,
 //! and decides on warnings. Lengths in mm, times in s on one clock that the caller owns.
 
-#![forbid(unsafe_code)]
-
 pub mod jaws;
 pub mod kalman;
 pub mod proximity;

@@ -6,7 +6,7 @@ use super::local_fit::{self, State};
 use super::measures::{Activity, Measures};
 use super::movement::{Meter, Movement, ROUGH_EDGE};
 use super::{CELL_S, Sample, Settings};
-use crate::proximity::Hysteresis;
+use crate::tracking::proximity::Hysteresis;
 
 /// Maximum duration of a movement, s; longer ones are measured in parts.
 const MAX_S: f64 = 30.0;

@@ -1,7 +1,7 @@
 //! The tissue as a mesh of cells, without the instruments in front of it.
 
 use super::fill::Fill;
-use crate::vector::{add_scaled, dot, norm, sub};
+use crate::tracking::vector::{add_scaled, dot, norm, sub};
 
 /// Pixels along a cell.
 const CELL_PX: usize = 4;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::kalman::Model;
+use crate::tracking::kalman::Model;
 use panoscope_base::random::{SplitMix64, unit};
 
 const RULES: Rules = Rules {

@@ -1,7 +1,7 @@
 //! Skill measures beside closed forms, phases, and memory.
 
-use panoscope_tracking::skill::motions::{self, Timing};
-use panoscope_tracking::skill::{Sample, Session, Settings};
+use panoscope_arm_core::tracking::skill::motions::{self, Timing};
+use panoscope_arm_core::tracking::skill::{Sample, Session, Settings};
 
 #[test]
 fn measures_of_known_motions_are_less_than_a_hundredth_off() {

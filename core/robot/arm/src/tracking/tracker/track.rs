@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 use super::report::{Report, Rules, UNKNOWN_CLASS, passed_s};
-use crate::kalman::{Kalman, stereo_covariance};
+use crate::tracking::kalman::{Kalman, stereo_covariance};
 
 /// Largest distance of an observation from the predicted or last seen position, mm. Needed because the gate grows while
 /// a tip is hidden, until every report passes.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::kalman::Model;
+use crate::tracking::kalman::Model;
 
 /// Parameters of the tracking.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -83,7 +83,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    fn touch_rule(&self) -> crate::proximity::Rule {
-        crate::proximity::Rule { on_mm: self.touch_mm, off_mm: 1.5 * self.touch_mm, min_s: self.touch_s }
+    fn touch_rule(&self) -> crate::tracking::proximity::Rule {
+        crate::tracking::proximity::Rule { on_mm: self.touch_mm, off_mm: 1.5 * self.touch_mm, min_s: self.touch_s }
     }
 }

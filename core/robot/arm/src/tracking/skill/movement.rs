@@ -3,7 +3,7 @@
 use super::Sample;
 use super::smoothness::{Spectrum, log_dimensionless_jerk};
 use super::spline::Spline;
-use crate::vector::{norm, sub};
+use crate::tracking::vector::{norm, sub};
 
 /// Share of its peak speed at which a movement begins and ends, if that is not slower than rest.
 pub const EDGE: f64 = 0.1;
