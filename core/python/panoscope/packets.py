@@ -323,7 +323,7 @@ RECORDS = {
             ("baseline_mm", "f8"),
             ("rms_px", "f8"),
             ("is_rectified", "u4"),
-            ("reserved", "u4"),
+            ("stated_error", "u4"),
         ]
     ),
     "tip": np.dtype(

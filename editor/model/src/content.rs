@@ -55,6 +55,8 @@ pub struct Rig {
     pub baseline_mm: f64,
     /// Reprojection error, px; NaN when unknown.
     pub rms_px: f64,
+    /// What the calibration states of its own error, as the packet has it.
+    pub stated_error: u32,
 }
 
 /// Reads a packet; [`Content::Nothing`] when the bytes do not fit the packet type.
@@ -89,6 +91,7 @@ fn try_read(bytes: &[u8], kind: &str) -> Result<Content, PacketError> {
                 focal_px: if projected > 0.0 { projected } else { calibration.left.fx },
                 baseline_mm: calibration.baseline_mm,
                 rms_px: calibration.rms_px,
+                stated_error: calibration.stated_error,
             };
             if rig.focal_px > 0.0 && rig.baseline_mm > 0.0 { Content::Rig(rig) } else { Content::Nothing }
         }

@@ -7,8 +7,8 @@ use eframe::egui::{Context, InputState};
 use panoscope_editor_model::texts::{decimal, text};
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw;
-use panoscope_imaging::stereo::SurfacePoint;
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
+use panoscope_imaging::stereo::{CalibrationError, SurfacePoint};
 
 use panoscope_editor_model::content::Rig;
 use panoscope_editor_model::observe::Output;
@@ -164,7 +164,8 @@ impl Measure {
     /// A length computed from points by `measure`, with its error bound. `None` where the error is not known: no length is shown without it.
     fn length(&self, points: &[SurfacePoint], measure: fn(&[[f64; 3]]) -> f64) -> Option<Length> {
         let (rig, noise) = self.rig.filter(|_| self.doubt.is_none())?;
-        let errors = Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, &noise);
+        let stated = CalibrationError::of_bits(rig.stated_error);
+        let errors = Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, stated, &noise);
         let (mm, error_mm) = length::with_error(points, Some(&errors), measure);
         error_mm.is_finite().then_some(Length { mm, error_mm })
     }
@@ -253,7 +254,7 @@ fn add_line_below(pixels: &mut Pixels, words: &str, color: [u8; 3]) {
 mod tests {
     use super::*;
 
-    const RIG: Rig = Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN };
+    const RIG: Rig = Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN, stated_error: 0 };
 
     fn on() -> Measure {
         // 1 mm per pixel at 50 mm; the right third is unknown.

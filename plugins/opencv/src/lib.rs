@@ -6,6 +6,7 @@ mod calibrate;
 mod composite;
 mod detector;
 mod features;
+mod find_board;
 mod mats;
 mod register;
 mod stereo;
@@ -13,6 +14,7 @@ mod stereo;
 pub use calibrate::CalibrateStereo;
 pub use composite::CompositeOpencv;
 pub use features::FeaturesOpencv;
+pub use find_board::FindBoard;
 pub use register::RegisterOpencv;
 pub use stereo::{DisparityFbsOpencv, DisparityWlsOpencv, StereoOpencv};
 
@@ -23,5 +25,6 @@ panoscope_node::export_plugin![
     StereoOpencv,
     DisparityWlsOpencv,
     DisparityFbsOpencv,
-    CalibrateStereo
+    CalibrateStereo,
+    FindBoard
 ];

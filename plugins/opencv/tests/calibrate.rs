@@ -165,6 +165,78 @@ fn boards_in_the_dark_are_found_where_the_samples_detector_finds_none() {
     assert_ne!(states(&out), [ViewState::Used]);
 }
 
+/// The view with a reflection of light on it, which covers a few corners.
+fn glare(mut picture: Vec<u8>, [x, y]: [f64; 2]) -> Vec<u8> {
+    for (index, value) in picture.iter_mut().enumerate() {
+        let off = ((index % SIZE.0) as f64 - x).hypot((index / SIZE.0) as f64 - y);
+        *value = (f64::from(*value) + 500.0 * (-(off / 14.0).powi(2)).exp()).min(255.0) as u8;
+    }
+    picture
+}
+
+#[test]
+fn boards_with_covered_corners_are_used() {
+    let mut node = open("model = \"radial\", solve_at = 8");
+    let mut out = None;
+    for pose in POSES {
+        let [left, right] = pair(pose);
+        let at =
+            |x_mm: f64| [199.5 + FOCAL_PX * (pose.1[0] - x_mm) / pose.1[2], 149.5 + FOCAL_PX * pose.1[1] / pose.1[2]];
+        out = Some(show(&mut node, [&glare(left, at(0.0)), &glare(right, at(BASELINE_MM))]));
+    }
+    let out = out.expect("views");
+    assert!(states(&out).iter().all(|state| *state == ViewState::Used), "{:?}", states(&out));
+    let found: Calibration = out.value("calibration").unwrap();
+    assert!((found.left.fx / FOCAL_PX - 1.0).abs() < 0.01 && found.rms_px < 0.2, "{found:?}");
+    assert!((found.baseline_mm - BASELINE_MM).abs() < 0.2, "{}", found.baseline_mm);
+    for row in out.table("table").unwrap().rows() {
+        assert!((10.0..24.0).contains(&row[2]), "{row:?}");
+    }
+}
+
+#[test]
+fn a_part_of_the_board_is_used_where_other_views_place_it() {
+    // The board reaches out of the left picture.
+    let cut = pair(([0.2, 0.15, 0.05], [97.0, 5.0, 232.0]));
+    let mut node = open("model = \"radial\", solve_at = 9");
+    let mut out = show(&mut node, [&cut[0], &cut[1]]);
+    assert_eq!(states(&out), [ViewState::PartlySeen]);
+    for [left, right] in POSES.map(pair) {
+        out = show(&mut node, [&left, &right]);
+    }
+    assert!(states(&out).iter().all(|state| *state == ViewState::Used), "{:?} {:?}", states(&out), node.logs());
+    let rows: Vec<Vec<f64>> = out.table("table").unwrap().rows().map(<[f64]>::to_vec).collect();
+    assert!((12.0..24.0).contains(&rows[0][2]) && rows[0][3..6].iter().all(|error| *error < 0.3), "{:?}", rows[0]);
+    let found: Calibration = out.value("calibration").unwrap();
+    assert!((found.baseline_mm - BASELINE_MM).abs() < 0.1, "{}", found.baseline_mm);
+    // Alone it is nobody's.
+    let mut node = open("model = \"radial\", solve_at = 5");
+    for _ in 0..5 {
+        out = show(&mut node, [&cut[0], &cut[1]]);
+    }
+    assert!(out.is_empty("calibration").unwrap() && states(&out).iter().all(|state| *state == ViewState::PartlySeen));
+}
+
+#[test]
+fn patterns_that_are_no_board_are_not_used() {
+    let picture = |shade: &dyn Fn(usize, usize) -> f64| -> Vec<u8> {
+        (0..SIZE.0 * SIZE.1).map(|index| shade(index % SIZE.0, index / SIZE.0) as u8).collect()
+    };
+    let random = |x: usize, y: usize| panoscope_node::random::lattice(x as i64, y as i64, 4);
+    let patterns: [(&str, Vec<u8>); 5] = [
+        ("noise", picture(&|x, y| 255.0 * random(x / 3, y / 3))),
+        ("tiles", picture(&|x, y| if x % 22 < 2 || y % 22 < 2 { 60.0 } else { 190.0 })),
+        ("shades", picture(&|x, y| 250.0 * random(x / 20, y / 20))),
+        ("keys", picture(&|x, y| if (x + 9 * (y / 24)) % 24 < 18 && y % 24 < 18 { 50.0 } else { 150.0 })),
+        // A larger chessboard, of which this one could be anything.
+        ("floor", picture(&|x, y| if (x / 18 + y / 18) % 2 == 0 { 50.0 } else { 200.0 })),
+    ];
+    for (name, picture) in patterns {
+        let mut node = open("model = \"radial\"");
+        assert_eq!(states(&show(&mut node, [&picture, &picture])), [ViewState::NoBoard], "{name}");
+    }
+}
+
 #[test]
 fn a_known_pair_of_fisheyes_is_found() {
     // A view of 105 degrees across.

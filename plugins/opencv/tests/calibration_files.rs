@@ -56,7 +56,7 @@ fn odd() -> Calibration {
         baseline_mm: 15.0,
         rms_px: 0.1 + 0.2,
         is_rectified: 0,
-        reserved: 0,
+        stated_error: 0x8877_6655,
     };
     packet::with_rectification(&bare, &packet::rectification(&bare).unwrap())
 }
@@ -113,7 +113,9 @@ fn what_opencv_writes_is_read_bit_by_bit() {
         let mat: Mat = from.get(name).unwrap().mat().unwrap();
         to.write_mat(name, &mat).unwrap();
     }
-    to.write_f64("rms_px", given.rms_px).unwrap();
+    for name in ["rms_px", "offset_error_px", "scale_error_percent", "point_error_px", "neutral_depth_mm"] {
+        to.write_f64(name, from.get(name).unwrap().real().unwrap()).unwrap();
+    }
     to.release().unwrap();
     let back = read(std::slice::from_ref(&theirs.0)).unwrap();
     // The baseline is the translation's length here, the projection's there.

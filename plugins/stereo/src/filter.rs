@@ -230,6 +230,7 @@ impl DisparityWlsParams {
         let mut sigma_color = self.sigma_color;
         if factor > 1 {
             confidence.left_right_px /= factor as f32;
+            confidence.loss_per_px2 *= (factor * factor) as f32;
             confidence.scatter_radius_px = confidence.scatter_radius_px.div_ceil(factor);
             sigma_color = (sigma_color * GRAY_SHARE).max(0.1);
         }

@@ -88,6 +88,26 @@ fn given_confidence_decides_in_both() -> TestResult {
     given_confidence_decides::<DisparityFbs>()
 }
 
+/// A map that was matched at half its size scatters as much as it does, however it is filtered.
+#[test]
+fn scatter_counts_alike_on_shrunk_maps() -> TestResult {
+    let gray = vec![120; SIZE.0 * SIZE.1];
+    let noisy = |index: usize| {
+        let (x, y) = (index % SIZE.0 / 2, index / SIZE.0 / 2);
+        60.0 + 4.0 * (panoscope_node::random::lattice(x as i64, y as i64, 8) as f32 - 0.5)
+    };
+    let disparity: Vec<f32> = (0..gray.len()).map(noisy).collect();
+    let confidence = |scale: usize| -> Result<f32, HarnessError> {
+        let mut node = Harness::<DisparityWls>::from_toml(&format!("params = {{ scale = {scale} }}"))?;
+        let out = run(&mut node, &gray, &disparity)?;
+        Ok(median(out.plane::<Confidence>("confidence")?.data.iter().copied()))
+    };
+    let (whole, half) = (confidence(1)?, confidence(2)?);
+    assert!((0.5..0.85).contains(&whole), "{whole}");
+    assert!((half - whole).abs() < 0.08, "{whole} at the whole size, {half} at half of it");
+    Ok(())
+}
+
 fn nothing_known_stays_unknown<N: Node>() -> TestResult {
     for (width, height) in [(1, 1), (3, 50), (SIZE.0, SIZE.1)] {
         let gray = vec![100; width * height];

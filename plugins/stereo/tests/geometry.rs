@@ -1,6 +1,7 @@
 //! `rectify`, `reproject` and `measure` through the harness.
 
 use crate::common::{SIZE, bgr, pair, rectified};
+use panoscope_imaging::stereo::CalibrationError;
 use panoscope_node::abi::{Calibration, Scalar};
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
 use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8};
@@ -335,6 +336,31 @@ fn the_stated_error_follows_the_noise() -> TestResult {
     assert!(loud[0][5] > 1.5 * quiet[0][5], "{quiet:?} {loud:?}");
     let length = apart(truth(40.0, 30.0), truth(280.0, 90.0));
     assert!((loud[0][4] - length).abs() < loud[0][5], "{loud:?} {length}");
+    Ok(())
+}
+
+#[test]
+fn a_calibration_that_states_its_error_is_taken_at_its_word() -> TestResult {
+    let depth = slope_depth(0.0);
+    let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30, 280, 90] }")?;
+    let mut bound = |scale_percent: f64, stated: bool| -> Result<f64, HarnessError> {
+        let error = CalibrationError { offset_px: 0.01, scale_percent, point_px: 0.01, neutral_mm: 50.0 };
+        let calibration = Calibration {
+            rms_px: 2.0,
+            stated_error: if stated { error.bits() } else { 0 },
+            ..rectified(FOCAL, BASELINE)
+        };
+        let out = node
+            .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+            .input_image::<Confidence>("confidence", SIZE.0, SIZE.1, &vec![1.0; SIZE.0 * SIZE.1])
+            .input_value("calibration", calibration)
+            .process()?;
+        Ok(out.table("table")?.rows().map(|row| row[5]).sum())
+    };
+    let (unstated, small, large) = (bound(0.01, false)?, bound(0.01, true)?, bound(5.0, true)?);
+    assert!(unstated > 2.0 * small, "{unstated} and {small} mm");
+    let length = apart(truth(40.0, 30.0), truth(280.0, 90.0));
+    assert!((large / length - 0.1).abs() < 0.01, "{large} of {length} mm");
     Ok(())
 }
 

@@ -75,7 +75,7 @@ impl Rig {
             baseline_mm: BASELINE,
             rms_px: 0.1,
             is_rectified: 0,
-            reserved: 0,
+            stated_error: 0,
         }
     }
 }

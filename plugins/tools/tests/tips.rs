@@ -33,7 +33,7 @@ fn calibration() -> Calibration {
         baseline_mm: 15.0,
         rms_px: 0.0,
         is_rectified: 1,
-        reserved: 0,
+        stated_error: 0,
     }
 }
 

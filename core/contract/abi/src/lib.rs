@@ -26,7 +26,7 @@ pub const MAGIC: u64 = 0x504F_4353_4F4E_4150;
 /// Plugins of another major version are refused.
 pub const ABI_MAJOR: u32 = 1;
 /// Grows when fields, flags or host functions are appended, or a reserved field gets a name.
-pub const ABI_MINOR: u32 = 4;
+pub const ABI_MINOR: u32 = 5;
 /// The one symbol a plugin exports, an [`Entry`].
 pub const ENTRY_SYMBOL: &str = "panoscope_plugin";
 

@@ -82,8 +82,11 @@ pub struct Calibration {
     pub rms_px: f64,
     /// 1 when the views that this calibration describes are rectified already.
     pub is_rectified: u32,
-    /// Reserved, 0.
-    pub reserved: u32,
+    /// What the calibration states of its own error, 0 when it states nothing: four bytes from the lowest on, each 0 or
+    /// `0.001 * 2^((byte - 1) / 18)`. Standard deviations: of the offset of all disparities, px; of all lengths at one
+    /// depth, percent; of each disparity beside these, px. The fourth is that depth, in m: there the offset of disparities
+    /// changes no length. Since `ABI_MINOR` 5.
+    pub stated_error: u32,
 }
 
 /// One point of a `cloud`, whose frame is `width` x `height` points; NaN coordinates mean unknown.

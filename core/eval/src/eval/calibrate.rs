@@ -1,5 +1,7 @@
 //! `panoscope eval calibrate`: `panoscope calibrate` on real pairs compared with OpenCV's own sample, and on the
-//! phantom's boards compared with ground truth.
+//! phantom's boards compared with ground truth; and lengths on boards that no calibration was made from.
+
+mod held_out;
 
 use std::path::{Path, PathBuf};
 
@@ -27,7 +29,7 @@ const PHANTOM_BOARDS: [(&str, &str); 3] = [
 ];
 
 /// Names of the cases.
-pub const CASES: [&str; 3] = ["chessboard", "laparoscope", "phantom"];
+pub const CASES: [&str; 4] = ["chessboard", "laparoscope", "phantom", "held_out"];
 
 /// Options of [`judge`].
 #[derive(Clone, Debug)]
@@ -38,6 +40,8 @@ pub struct Options {
     pub data: Vec<PathBuf>,
     /// Folder for the images of each case.
     pub pictures: Option<PathBuf>,
+    /// Pairs of your own for `held_out`: left and right images (a folder or a pattern), and the printed board.
+    pub own: Option<(String, String, Board)>,
 }
 
 /// Calibration and views of one run.
@@ -90,6 +94,9 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             }
         }
     }
+    if wanted("held_out") {
+        held_out_boards(session, options, &find, &mut figures)?;
+    }
     if wanted("phantom") {
         for (print, board) in PHANTOM_BOARDS {
             phantom(session, print, board.parse()?, pictures(print).as_deref(), &mut figures)?;
@@ -98,6 +105,42 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
+/// Lengths on held-out pairs of the sets at hand, or of the user's own.
+fn held_out_boards(
+    session: &dyn Session,
+    options: &Options,
+    find: &dyn Fn(&str) -> Option<PathBuf>,
+    figures: &mut Vec<Figure>,
+) -> Result<()> {
+    let mut sets = Vec::new();
+    if let Some((left, right, board)) = &options.own {
+        sets.push(("own", left.clone(), right.clone(), *board));
+    } else {
+        if let Some(first) = find("left01.jpg") {
+            let side = |side: &str| first.with_file_name(format!("{side}??.jpg")).display().to_string();
+            sets.push(("chessboard", side("left"), side("right"), board(CHESSBOARD)?));
+        }
+        if let Some(folder) = find("calibration/charuco_laparoscope") {
+            let side = |name: &str| folder.join(name).display().to_string();
+            sets.push(("laparoscope", side("ExtractedFrames_L"), side("ExtractedFrames_R"), board(LAPAROSCOPE)?));
+        }
+    }
+    for (name, left, right, board) in sets {
+        let options = calibration::Options::new(&left, &right, board);
+        match Source::of(session, &options)? {
+            Source::Images(files) => {
+                figures.extend(held_out::figures(session, &held_out::BoardSet { name, files, board })?);
+            }
+            _ => note!(session, "skipped: {left} are not images: held_out needs pairs of images"),
+        }
+    }
+    Ok(())
+}
+
+/// Printed boards of the sets at hand.
+const CHESSBOARD: &str = "chessboard:9x6:25mm";
+const LAPAROSCOPE: &str = "charuco:19x26:5mm:4mm:4x4_250";
+
 fn board(name: &str) -> Result<Board> {
     Ok(name.parse()?)
 }
@@ -105,7 +148,7 @@ fn board(name: &str) -> Result<Board> {
 /// The 13 pairs of OpenCV's documentation: our steps and the sample's, on the same images.
 fn chessboard(session: &dyn Session, first: &Path, pictures: Option<&Path>, figures: &mut Vec<Figure>) -> Result<()> {
     let pattern = |side: &str| first.with_file_name(format!("{side}??.jpg")).display().to_string();
-    let mut options = calibration::Options::new(&pattern("left"), &pattern("right"), board("chessboard:9x6:25mm")?);
+    let mut options = calibration::Options::new(&pattern("left"), &pattern("right"), board(CHESSBOARD)?);
     let source = Source::of(session, &options)?;
     let own = made(session, &options, &source, pictures)?;
     options.keep_all = true;
@@ -136,7 +179,7 @@ fn chessboard(session: &dyn Session, first: &Path, pictures: Option<&Path>, figu
 
 fn laparoscope(session: &dyn Session, folder: &Path, pictures: Option<&Path>, figures: &mut Vec<Figure>) -> Result<()> {
     let side = |name: &str| folder.join(name).display().to_string();
-    let board = board("charuco:19x26:5mm:4mm:4x4_250")?;
+    let board = board(LAPAROSCOPE)?;
     let options = calibration::Options::new(&side("ExtractedFrames_L"), &side("ExtractedFrames_R"), board);
     let source = Source::of(session, &options)?;
     let made = made(session, &options, &source, pictures)?;

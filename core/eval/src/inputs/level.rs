@@ -21,6 +21,6 @@ pub fn calibration((width, height): (u32, u32)) -> Calibration {
         baseline_mm,
         rms_px: 0.0,
         is_rectified: 1,
-        reserved: 0,
+        stated_error: 0,
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use panoscope_data::calibration::Board;
 use panoscope_eval::eval::calibrate::{self, Options};
 
 /// Arguments of `eval calibrate`.
@@ -16,6 +17,15 @@ pub struct Arguments {
     /// Folder for the images of each case.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
+    /// Left images of your own pairs of a board for `held_out` (a folder or a pattern).
+    #[arg(long, value_name = "IMAGES", requires_all = ["right", "board"])]
+    left: Option<String>,
+    /// Right images of these pairs.
+    #[arg(long, value_name = "IMAGES", requires = "left")]
+    right: Option<String>,
+    /// Their printed board, such as chessboard:9x6:25mm.
+    #[arg(long, requires = "left")]
+    board: Option<Board>,
     /// Writes the figures as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
@@ -25,6 +35,8 @@ impl Arguments {
     /// Options for the library.
     pub fn options(&self) -> Options {
         let Self { case, data, pictures, .. } = self;
-        Options { cases: case.clone(), data: data.clone(), pictures: pictures.clone() }
+        let own = self.left.clone().zip(self.right.clone()).zip(self.board);
+        let own = own.map(|((left, right), board)| (left, right, board));
+        Options { cases: case.clone(), data: data.clone(), pictures: pictures.clone(), own }
     }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use panoscope_abi::Calibration;
 use panoscope_data::calibration::ros::messages;
 use panoscope_data::calibration::{equidistant_of, packet, parse, read, text_of};
+use panoscope_imaging::stereo::CalibrationError;
 
 const OPENCV: &str = "%YAML:1.0
 ---
@@ -63,6 +64,41 @@ fn opencv_is_read_and_comes_back_bit_by_bit() {
     let views = packet::rectification(&read).unwrap();
     let whole = packet::with_rectification(&read, &views);
     assert_eq!(one(&text_of(&whole)).unwrap(), whole);
+}
+
+const STATED: &str = "offset_error_px: 0.2\nscale_error_percent: 0.05\npoint_error_px: 0.1\nneutral_depth_mm: 320\n";
+
+#[test]
+fn what_a_file_states_of_its_error_travels_with_the_packet() {
+    let read = one(&format!("{OPENCV}{STATED}")).unwrap();
+    let stated = CalibrationError::of_bits(read.stated_error).expect("it is stated");
+    assert!(
+        (stated.offset_px / 0.2 - 1.0).abs() < 0.02 && (stated.neutral_mm / 320.0 - 1.0).abs() < 0.02,
+        "{stated:?}"
+    );
+    assert_eq!(one(&text_of(&read)).unwrap(), read);
+    // Rectified and shrunk views state it in their own pixels.
+    let views = packet::rectification(&read).unwrap();
+    assert_eq!(packet::rectified(&read, &views).stated_error, read.stated_error);
+    let half = CalibrationError::of_bits(packet::shrunk(&read, 2).stated_error).expect("it is stated");
+    assert!((half.offset_px / 0.1 - 1.0).abs() < 0.02 && half.scale_percent == stated.scale_percent, "{half:?}");
+    // Other files state nothing.
+    assert_eq!(one(OPENCV).unwrap().stated_error, 0);
+    assert!(!text_of(&one(OPENCV).unwrap()).contains("error"));
+}
+
+#[test]
+fn half_a_statement_of_its_error_is_refused() {
+    for (from, to, words) in [
+        ("scale_error_percent: 0.05\n", "", "`scale_error_percent` is missing"),
+        ("0.05", "-0.05", "`scale_error_percent` is -0.05"),
+        ("0.05", ".Nan", "`scale_error_percent` is NaN"),
+        ("320", "0", "`neutral_depth_mm` is 0"),
+        ("0.1", "wide", "`point_error_px`"),
+    ] {
+        let error = one(&format!("{OPENCV}{}", STATED.replace(from, to))).unwrap_err();
+        assert!(error.contains("scope.yml") && error.contains(words), "{error}");
+    }
 }
 
 #[test]

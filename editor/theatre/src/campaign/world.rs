@@ -463,7 +463,7 @@ impl World {
                 }
             }
         }
-        let rig = Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: 0.2 };
+        let rig = Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: 0.2, stated_error: 0 };
         let packet = RenderedPacket { content: Content::Rig(rig), ..RenderedPacket::default() };
         self.on_the_way.push_back((self.ms, Output::new("rig", "calibration"), packet));
     }

@@ -190,20 +190,22 @@ pub(crate) struct Picture {
     pub pixels: Option<Block>,
     /// x, y, z, mm, and confidence as `f32`.
     pub cloud: Option<Block>,
-    /// Focal length px, baseline mm, reprojection error px; `None` for a number that is not known.
-    pub rig: Option<[Option<f64>; 3]>,
+    /// Focal length px, baseline mm, reprojection error px, what the calibration states of its error (as in the packet); `None` for a number that is not known.
+    pub rig: Option<[Option<f64>; 4]>,
 }
 
 impl Picture {
-    pub fn rig_of(content: &Content) -> Option<[Option<f64>; 3]> {
+    pub fn rig_of(content: &Content) -> Option<[Option<f64>; 4]> {
         let Content::Rig(rig) = content else { return None };
-        Some([rig.focal_px, rig.baseline_mm, rig.rms_px].map(|number| Some(number).filter(|n| n.is_finite())))
+        let numbers = [rig.focal_px, rig.baseline_mm, rig.rms_px, rig.stated_error.into()];
+        Some(numbers.map(|number| Some(number).filter(|n| n.is_finite())))
     }
 
     pub fn content(&self) -> Content {
         let Some(numbers) = self.rig else { return Content::Nothing };
-        let [focal_px, baseline_mm, rms_px] = numbers.map(|number| number.unwrap_or(f64::NAN));
-        Content::Rig(Rig { focal_px, baseline_mm, rms_px })
+        let [focal_px, baseline_mm, rms_px, stated] = numbers.map(|number| number.unwrap_or(f64::NAN));
+        // Of a number that no packet has, what is nearest.
+        Content::Rig(Rig { focal_px, baseline_mm, rms_px, stated_error: stated as u32 })
     }
 }
 
@@ -290,7 +292,7 @@ mod tests {
         let Ok(Some(Message::Counters(state))) = receive(&mut bytes.as_slice()) else { panic!("counters") };
         let there = state.counters();
         assert_eq!((there.nodes["a"].faults, there.nodes["a"].metrics.len()), (3, 1));
-        let rig = Rig { focal_px: 700.0, baseline_mm: 4.0, rms_px: f64::NAN };
+        let rig = Rig { focal_px: 700.0, baseline_mm: 4.0, rms_px: f64::NAN, stated_error: 77 };
         let picture = Picture {
             output: Output::new("a", "b"),
             size_px: (1, 1),
@@ -306,6 +308,8 @@ mod tests {
         let mut bytes = Vec::new();
         send(&mut bytes, &picture).expect("memory takes it");
         let there: Picture = receive(&mut bytes.as_slice()).expect("it is read").expect("it is there");
-        assert!(matches!(there.content(), Content::Rig(r) if r.focal_px == 700.0 && r.rms_px.is_nan()));
+        assert!(
+            matches!(there.content(), Content::Rig(r) if r.focal_px == 700.0 && r.rms_px.is_nan() && r.stated_error == 77)
+        );
     }
 }

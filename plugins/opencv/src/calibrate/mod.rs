@@ -3,24 +3,27 @@
 //! A view takes part when the board is found in both pictures, stands elsewhere than in the views before, and is explained
 //! by the solution as well as the others are: a view whose error is an outlier is excluded and the rest is solved again.
 
-mod detect;
+pub mod detect;
 mod draw;
 mod fisheye;
+mod grid;
 mod neighbours;
 mod order;
+mod part;
 mod solution;
 mod solve;
 
-use panoscope_data::calibration::{Board, ViewState};
+use panoscope_data::calibration::{Board, ViewState, packet};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Choice, Context, Gray8, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
     Validation, View,
 };
 
-use crate::mats::{Threads, borrowed, failed};
-use detect::{Detector, Points, same_order};
+use crate::mats::{Threads, failed};
+use detect::{Detector, Points, Seen, same_order};
 use neighbours::keep_fitting;
+use part::Part;
 use solution::{Pair, Solution};
 use solve::{Model, Procedure, solve};
 
@@ -113,6 +116,8 @@ struct BoardView {
     pair: Pair,
     /// Share of each picture that the board's box fills.
     area: [f64; 2],
+    /// Of a view that is seen in part: what each picture shows.
+    parts: Option<[Part; 2]>,
 }
 
 /// See the module.
@@ -216,6 +221,7 @@ impl CalibrateStereo {
         let size = (views[0].width, views[0].height);
         let is_other_size = (views[1].width, views[1].height) != size || self.size.is_some_and(|known| known != size);
         let mut found = [Points::new(), Points::new()];
+        let mut parts = None;
         let mut pair = Pair { board_mm: Vec::new(), px: [Vec::new(), Vec::new()] };
         let used = self.seen.iter().filter(|seen| seen.state == ViewState::Used).count();
         let state = if is_other_size {
@@ -223,14 +229,17 @@ impl CalibrateStereo {
         } else if used >= params.max_views {
             ViewState::NotNeeded
         } else {
+            let mut seen = [Seen::default(), Seen::default()];
             for side in 0..2 {
-                found[side] = borrowed(views[side]).and_then(|gray| self.detector.find(&gray)).map_err(failed)?;
+                seen[side] = self.detector.look(views[side]).map_err(failed)?;
             }
+            parts = self.parts(&seen);
+            found = seen.map(|seen| seen.points);
             if let Board::Charuco { square_mm, .. } = self.board {
                 found.iter_mut().for_each(|points| keep_fitting(points, &self.places_mm, square_mm));
             }
             let [left, right] = &mut found;
-            same_order(&self.board, left, right);
+            same_order(&self.board, self.places_mm.len(), left, right);
             for (index, place) in left.iter() {
                 if let (Some((_, other)), Some(board)) =
                     (right.iter().find(|(other, _)| other == index), self.places_mm.get(*index))
@@ -241,6 +250,7 @@ impl CalibrateStereo {
                 }
             }
             match (left.is_empty(), right.is_empty()) {
+                _ if parts.is_some() => ViewState::PartlySeen,
                 (true, true) => ViewState::NoBoard,
                 (true, false) => ViewState::NoBoardLeft,
                 (false, true) => ViewState::NoBoardRight,
@@ -262,8 +272,51 @@ impl CalibrateStereo {
             cx.warn(&format!("view {index} is left out: {}", state.words()));
         }
         cx.metric("views_used", (used + usize::from(state == ViewState::Used)) as f64);
-        self.seen.push(BoardView { state, pair, area });
+        self.seen.push(BoardView { state, pair, area, parts });
         Ok(found)
+    }
+
+    /// What both pictures show of a chessboard, where at least one of them does not show which part it is.
+    fn parts(&self, seen: &[Seen; 2]) -> Option<[Part; 2]> {
+        let Board::Chessboard { corners: (columns, _), .. } = self.board else { return None };
+        if seen.iter().all(|seen| seen.part.is_none()) {
+            return None;
+        }
+        let part = |seen: &Seen| {
+            let whole = || part::of_points(&seen.points, columns as usize);
+            Some(seen.part.clone().unwrap_or_else(whole)).filter(|part| !part.is_empty())
+        };
+        Some([part(&seen[0])?, part(&seen[1])?])
+    }
+
+    /// Uses the views that are seen in part, where the cameras say which part that is; returns how many. Streams have enough views without them.
+    fn use_parts(&mut self, cx: &Context<'_>, params: &CalibrateParams, calibration: &Calibration) -> usize {
+        let Board::Chessboard { square_mm, .. } = self.board else { return 0 };
+        let (Ok(cameras), Some(size)) = (packet::cameras(calibration), self.size) else { return 0 };
+        let mut count = 0;
+        if params.min_move > 0.0 {
+            return 0;
+        }
+        for (index, seen) in self.seen.iter_mut().enumerate() {
+            let Some([left, right]) = seen.parts.as_ref().filter(|_| seen.state == ViewState::PartlySeen) else {
+                continue;
+            };
+            let pair = match part::pair_of([left, right], square_mm, &cameras) {
+                Ok(pair) => pair.filter(|pair| pair.board_mm.len() >= MIN_POINTS && !is_one_line(&pair.board_mm)),
+                Err(error) => {
+                    cx.warn(&format!("view {index} stays left out: OpenCV: {}", error.message));
+                    None
+                }
+            };
+            if let Some(pair) = pair {
+                cx.info(&format!("view {index} shows a part of the board, which the other views place: it is used"));
+                seen.area = [area(&pair.px[0], size), area(&pair.px[1], size)];
+                seen.state = ViewState::Used;
+                seen.pair = pair;
+                count += 1;
+            }
+        }
+        count
     }
 
     /// Whether the points are where they were in an earlier view.
@@ -304,6 +357,14 @@ impl CalibrateStereo {
         {
             let Some(better) = self.solve_by(cx, params, size, Procedure::Own(model)) else { return false };
             solved = better;
+        }
+        let procedure = match self.chosen {
+            Some((_, model)) if is_auto => Procedure::Own(model),
+            _ => self.procedure,
+        };
+        if self.use_parts(cx, params, &solved.1.calibration) > 0 {
+            let Some(more) = self.solve_by(cx, params, size, procedure) else { return false };
+            solved = more;
         }
         cx.metric("reproj_px", solved.1.calibration.rms_px);
         self.solution = Some(solved);

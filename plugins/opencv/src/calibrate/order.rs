@@ -93,11 +93,11 @@ fn misfit(view: &Pair, side: usize, k: &Mat, d: &Mat) -> opencv::Result<f64> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// A board of 9 x 6 points of 10 mm at a pose, seen by a camera of 800 px with k1 to k3, and noise.
-    fn view(index: usize, k: [f64; 3], noise_px: f64) -> Pair {
+    pub fn view(index: usize, k: [f64; 3], noise_px: f64) -> Pair {
         let random = |salt: i64| panoscope_node::random::lattice(index as i64, salt, 5);
         let angle = |salt: i64| 0.9 * (random(salt) - 0.5);
         let (a, b, c) = (angle(1), angle(2), angle(3));

@@ -5,10 +5,10 @@ use opencv::calib3d::{
     self, CALIB_FIX_ASPECT_RATIO, CALIB_FIX_K3, CALIB_FIX_K4, CALIB_FIX_K5, CALIB_RATIONAL_MODEL,
     CALIB_SAME_FOCAL_LENGTH, CALIB_USE_INTRINSIC_GUESS, CALIB_ZERO_TANGENT_DIST,
 };
-use opencv::core::{Mat, Point2f, Point3f, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, Vector};
+use opencv::core::{CV_64F, Mat, Point2f, Point3f, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, Vector};
 use opencv::prelude::*;
 use panoscope_data::calibration::packet;
-use panoscope_imaging::stereo::{CameraModel, Rectification};
+use panoscope_imaging::stereo::{BoardView, CameraModel, Rectification, StereoCameras, calibration_error};
 use panoscope_node::Choice;
 use panoscope_node::abi::{Calibration, Camera};
 
@@ -132,14 +132,48 @@ pub fn solve(pairs: &[&Pair], size: (usize, usize), procedure: Procedure) -> Res
         baseline_mm: translation.iter().map(|v| v * v).sum::<f64>().sqrt(),
         rms_px: found.rms_px,
         is_rectified: 0,
-        reserved: 0,
+        stated_error: 0,
     };
     let impossible = |error: panoscope_imaging::stereo::StereoError| Unsolved::Impossible(error.to_string());
     let views = packet::rectification(&bare).map_err(impossible)?;
-    let cameras = [packet::camera(&bare.left).map_err(impossible)?, packet::camera(&bare.right).map_err(impossible)?];
+    let both = packet::cameras(&bare).map_err(impossible)?;
+    let stated_error = stated_error(pairs, &both, &views).unwrap_or(0);
+    let cameras = [both.left, both.right];
     let epipolar_px = pairs.iter().map(|pair| epipolar_px(pair, &cameras, &views)).collect();
-    let calibration = packet::with_rectification(&bare, &views);
+    let calibration = packet::with_rectification(&Calibration { stated_error, ..bare }, &views);
     Ok(Solution { calibration, errors_px: found.errors_px, epipolar_px })
+}
+
+/// What the calibration states of its own error; 0 where the views do not say.
+fn stated_error(pairs: &[&Pair], cameras: &StereoCameras, views: &Rectification) -> opencv::Result<u32> {
+    let mut boards = Vec::with_capacity(pairs.len());
+    for pair in pairs {
+        boards.push(BoardView {
+            board_mm: &pair.board_mm,
+            px: [&pair.px[0], &pair.px[1]],
+            left_from_board: board_pose(pair, &cameras.left)?,
+        });
+    }
+    Ok(calibration_error::estimate(cameras, views, &boards).map_or(0, |stated| stated.bits()))
+}
+
+/// Pose of the board in the left camera: rotation vector and mm.
+///
+/// # Errors
+/// OpenCV finds none.
+pub fn board_pose(pair: &Pair, camera: &CameraModel) -> opencv::Result<[f64; 6]> {
+    let rays: Vector<Point2f> = pair.px[0]
+        .iter()
+        .map(|px| {
+            let (x, y) = camera.unproject(px[0].into(), px[1].into());
+            Point2f::new(x as f32, y as f32)
+        })
+        .collect();
+    let (mut turn, mut shift) = (Mat::default(), Mat::default());
+    let no_lens = Mat::eye(3, 3, CV_64F)?.to_mat()?;
+    calib3d::solve_pnp_def(&object_of(pair), &rays, &no_lens, &Mat::default(), &mut turn, &mut shift)?;
+    let ([a, b, c], [x, y, z]) = (cells(&turn)?, cells(&shift)?);
+    Ok([a, b, c, x, y, z])
 }
 
 fn by_opencv(pairs: &[&Pair], view: (usize, usize), procedure: Procedure) -> opencv::Result<Found> {
@@ -216,4 +250,75 @@ fn epipolar_px(pair: &Pair, cameras: &[CameraModel; 2], views: &Rectification) -
         (a - b).abs()
     });
     rows.sum::<f64>() / pair.px[0].len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::order::tests::view;
+    use super::*;
+    use panoscope_imaging::stereo::length::{Errors, Noise, distance, with_error};
+    use panoscope_imaging::stereo::{CalibrationError, SurfacePoint};
+
+    const SIZE: (usize, usize) = (800, 600);
+    /// Lens of the drawn cameras.
+    const LENS: [f64; 3] = [-0.3, 0.1, 0.0];
+
+    /// The point that both raw views show, in the rectified frame of a calibration.
+    fn point(calibration: &Calibration, px: [[f32; 2]; 2]) -> SurfacePoint {
+        let views = packet::rectification(calibration).expect("a rectification");
+        let camera = |of: &Camera| packet::camera(of).expect("a camera");
+        let [u, v] = rectified_px(&camera(&calibration.left), &views, true, px[0]);
+        let [right, _] = rectified_px(&camera(&calibration.right), &views, false, px[1]);
+        let disparity_px = u - right - (views.left.cx - views.right.cx);
+        let ray = [(u - views.left.cx) / views.left.focal_px, (v - views.left.cy) / views.left.focal_px];
+        let inverse_depth = disparity_px / (views.left.focal_px * views.baseline_mm);
+        SurfacePoint { ray, inverse_depth, scatter: 0.0, confidence: Some(1.0) }
+    }
+
+    /// Error and stated bound, mm, of lengths on boards without noise, by calibrations of twelve views with noise each.
+    fn lengths(noise_px: f64) -> Vec<(f64, f64)> {
+        let noise = Noise { disparity_px: 0.0, ..Noise::USUAL };
+        let mut out = Vec::new();
+        for set in 0..12 {
+            let views: Vec<Pair> = (0..12).map(|index| view(100 * set + index, LENS, noise_px)).collect();
+            let views: Vec<&Pair> = views.iter().collect();
+            let solved = solve(&views, SIZE, Procedure::Own(Model::Radial)).expect("cameras").calibration;
+            let stated = CalibrationError::of_bits(solved.stated_error).expect("it states its error");
+            let focal_px = solved.left_projection[0];
+            let errors = Errors::of(focal_px, solved.baseline_mm, solved.rms_px, Some(stated), &noise);
+            for index in 50..60 {
+                let board = view(100 * set + index, LENS, 0.0);
+                for (a, b) in [(0, 53), (8, 45), (4, 49)] {
+                    let ends = [a, b].map(|at| point(&solved, [board.px[0][at], board.px[1][at]]));
+                    let [a, b] = [a, b].map(|at| board.board_mm[at]);
+                    let (found_mm, bound_mm) = with_error(&ends, Some(&errors), distance);
+                    out.push(((found_mm - (a[0] - b[0]).hypot(a[1] - b[1])).abs(), bound_mm));
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn a_calibration_states_its_own_error() {
+        for noise_px in [0.1, 0.4] {
+            let all = lengths(noise_px);
+            let held = all.iter().filter(|(error, bound)| error <= bound).count() as f64 / all.len() as f64;
+            let median = |of: fn(&(f64, f64)) -> f64| {
+                let mut values: Vec<f64> = all.iter().map(of).collect();
+                values.sort_by(f64::total_cmp);
+                values[values.len() / 2]
+            };
+            let (error, bound) = (median(|l| l.0), median(|l| l.1));
+            assert!(held > 0.9 && bound < 5.0 * error, "{noise_px} px: {held} within {bound} mm, error {error} mm");
+        }
+    }
+
+    #[test]
+    fn few_views_state_nothing() {
+        let views: Vec<Pair> = (0..4).map(|index| view(index, LENS, 0.1)).collect();
+        let views: Vec<&Pair> = views.iter().collect();
+        let solved = solve(&views, SIZE, Procedure::Own(Model::Radial)).expect("cameras").calibration;
+        assert_eq!(solved.stated_error, 0);
+    }
 }

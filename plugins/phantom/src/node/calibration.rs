@@ -45,6 +45,6 @@ pub fn calibration(rig: &Rig) -> Calibration {
         baseline_mm,
         rms_px: 0.0,
         is_rectified: u32::from(left.is_pinhole() && right.is_pinhole()),
-        reserved: 0,
+        stated_error: 0,
     }
 }

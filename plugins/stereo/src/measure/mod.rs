@@ -3,7 +3,7 @@
 mod surface;
 
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
-use panoscope_imaging::stereo::{Rectification, SurfacePoint};
+use panoscope_imaging::stereo::{CalibrationError, Rectification, SurfacePoint};
 use panoscope_node::abi::{Calibration, Scalar, Tip};
 use panoscope_node::{
     Choice, Cloud, Confidence, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result,
@@ -93,7 +93,8 @@ pub struct MeasureParams {
     /// Standard deviation of a filtered disparity, added as a square to the scatter around the point: 0.35 where `scale` of the matcher halves the views.
     #[param(default = Noise::USUAL.disparity_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_noise_px: f64,
-    /// Standard deviation of the calibration's disparity offset; its reprojection error is used when larger.
+    /// Standard deviation of the calibration's disparity offset; its reprojection error is used when larger. This and the two below count where the
+    /// calibration does not state its own error.
     #[param(default = Noise::USUAL.offset_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_offset_px: f64,
     /// Standard deviation of the calibration's baseline.
@@ -119,14 +120,15 @@ pub struct Measure {
 }
 
 impl MeasureParams {
-    fn errors(&self, views: &Rectification, rms_px: f64) -> Errors {
+    fn errors(&self, packet: &Calibration, views: &Rectification) -> Errors {
         let noise = Noise {
             disparity_px: self.disparity_noise_px,
             offset_px: self.disparity_offset_px,
             baseline_mm: self.baseline_error_mm,
             focal_percent: self.focal_error_percent,
         };
-        Errors::of(views.left.focal_px, views.baseline_mm, rms_px, &noise)
+        let stated = CalibrationError::of_bits(packet.stated_error);
+        Errors::of(views.left.focal_px, views.baseline_mm, packet.rms_px, stated, &noise)
     }
 }
 
@@ -305,7 +307,7 @@ impl Node for Measure {
         if out.text.is_read() {
             out.text.set_text(if is_drifted { DRIFTED } else { "" })?;
         }
-        let errors = views.as_ref().map(|(packet, views)| params.errors(views, packet.rms_px));
+        let errors = views.as_ref().map(|(packet, views)| params.errors(packet, views));
         self.measure(params, errors.as_ref());
         self.views = views;
 

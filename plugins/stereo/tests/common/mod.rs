@@ -69,7 +69,7 @@ pub fn rectified(focal: f64, baseline_mm: f64) -> Calibration {
         baseline_mm,
         rms_px: f64::NAN,
         is_rectified: 1,
-        reserved: 0,
+        stated_error: 0,
     }
 }
 

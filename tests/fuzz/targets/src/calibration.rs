@@ -78,6 +78,10 @@ pub fn file_seeds() -> Vec<Vec<u8>> {
         hamlyn.to_owned(),
         hamlyn.replace("-5.4", "1e308"),
         opencv.to_owned(),
+        format!(
+            "{opencv}offset_error_px: 0.2\nscale_error_percent: 0.05\npoint_error_px: 0.1\nneutral_depth_mm: 320\n"
+        ),
+        format!("{opencv}offset_error_px: 1e999\nneutral_depth_mm: -0\n"),
         format!("{}#---\n{}", ros("left", 0.0), ros("right", -11.25)),
         kalibr.to_owned(),
         ros("left", 0.0),

@@ -72,7 +72,7 @@ plain! {
         baseline_mm: f64,
         rms_px: f64,
         is_rectified: u32,
-        reserved: u32,
+        stated_error: u32,
     }
     "cloud" CloudPoint { x_mm: f32, y_mm: f32, z_mm: f32, bgr: [u8; 3], filled: u8 }
     "detections" Detection {

@@ -108,7 +108,7 @@ impl Measurements {
         let truth: Vec<[f64; 3]> = known.iter().map(|(_, truth)| *truth).collect();
         let bounded = |rig: &Rig, noise: &Noise| {
             let points: Vec<SurfacePoint> = known.iter().map(|(point, _)| rig.sees(point)).collect();
-            let errors = Errors::of(rig.focal_px, rig.baseline_mm, f64::NAN, noise);
+            let errors = Errors::of(rig.focal_px, rig.baseline_mm, f64::NAN, None, noise);
             let (found_mm, bound_mm) = length::with_error(&points, Some(&errors), measure);
             let true_mm = measure(&truth);
             Bounded { true_mm, error_mm: (found_mm - true_mm).abs(), bound_mm }

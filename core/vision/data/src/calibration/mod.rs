@@ -61,7 +61,7 @@ pub(crate) fn packet_of(
         baseline_mm: right_from_left_mm.iter().map(|t| t * t).sum::<f64>().sqrt(),
         rms_px: f64::NAN,
         is_rectified: 0,
-        reserved: 0,
+        stated_error: 0,
     }
 }
 

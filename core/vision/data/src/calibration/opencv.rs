@@ -4,6 +4,7 @@
 use std::fmt::Write as _;
 
 use panoscope_abi::{Calibration, Camera};
+use panoscope_imaging::stereo::CalibrationError;
 
 use crate::calibration::EYE3;
 use crate::calibration::document::Node;
@@ -17,6 +18,9 @@ const RIGHT_MATRIX: [&str; 6] =
     ["M2", "K2", "cameraMatrix2", "camera_matrix_2", "camera_matrix_right", "right_camera_matrix"];
 const LEFT_DISTORTION: [&str; 4] = ["D1", "distCoeffs1", "dist_coeffs_1", "distortion_coefficients_left"];
 const RIGHT_DISTORTION: [&str; 4] = ["D2", "distCoeffs2", "dist_coeffs_2", "distortion_coefficients_right"];
+
+/// What a calibration states of its own error, see [`CalibrationError`]; other programs pass over these names.
+const STATED: [&str; 4] = ["offset_error_px", "scale_error_percent", "point_error_px", "neutral_depth_mm"];
 
 /// Whether one of the documents describes an OpenCV stereo pair.
 pub(crate) fn is(documents: &[Node]) -> bool {
@@ -119,6 +123,29 @@ fn size(documents: &[Node]) -> Result<(u32, u32)> {
     Ok((width as u32, height as u32))
 }
 
+/// What the calibration states of its own error; 0 where the file says nothing of it.
+fn stated_error(documents: &[Node]) -> Result<u32> {
+    let mut numbers = [0.0; 4];
+    let found = STATED.map(|name| find(documents, std::slice::from_ref(&name)).map(|found| (found.index, found.node)));
+    let Some((index, node)) = found.iter().flatten().next() else { return Ok(0) };
+    for ((number, name), found) in numbers.iter_mut().zip(STATED).zip(&found) {
+        let Some((index, node)) = found else {
+            let what = format!("`{name}` is missing: of {} all are stated or none", STATED.join(", "));
+            return Err((*index, node.mistake(what)));
+        };
+        *number = node.number(name).map_err(|mistake| (*index, mistake))?;
+        // NaN fails.
+        if !(*number > 0.0 && number.is_finite()) {
+            return Err((
+                *index,
+                node.mistake(format!("`{name}` is {number}: a standard deviation or a depth is above 0")),
+            ));
+        }
+    }
+    let [offset_px, scale_percent, point_px, neutral_mm] = numbers;
+    Ok(CalibrationError { offset_px, scale_percent, point_px, neutral_mm }.bits())
+}
+
 fn camera(size: (u32, u32), k: &[f64; 9], distortion: [f64; 14]) -> Camera {
     Camera { width: size.0, height: size.1, fx: k[0], fy: k[4], cx: k[2], cy: k[5], distortion }
 }
@@ -157,6 +184,7 @@ pub(crate) fn packet(documents: &[Node]) -> Result<Calibration> {
         left_projection: p1,
         right_projection: p2,
         rms_px,
+        stated_error: stated_error(documents)?,
         ..packet_of([left, right], rotation, translation)
     })
 }
@@ -237,6 +265,12 @@ pub fn text_of(packet: &Calibration) -> String {
     let _ = writeln!(out, "baseline_mm: {}", number(packet.baseline_mm));
     if packet.rms_px.is_finite() {
         let _ = writeln!(out, "rms_px: {}", number(packet.rms_px));
+    }
+    if let Some(stated) = CalibrationError::of_bits(packet.stated_error) {
+        let numbers = [stated.offset_px, stated.scale_percent, stated.point_px, stated.neutral_mm];
+        for (name, value) in STATED.into_iter().zip(numbers) {
+            let _ = writeln!(out, "{name}: {}", number(value));
+        }
     }
     out
 }

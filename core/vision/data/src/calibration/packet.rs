@@ -4,8 +4,8 @@ use panoscope_abi::{Calibration, Camera};
 use panoscope_imaging::shrink::shrunk_px;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{
-    CameraModel, OrderEvidence, Rectification, RectifiedCamera, RectifyParams, RowSample, StereoCameras, StereoError,
-    ViewOrder,
+    CalibrationError, CameraModel, OrderEvidence, Rectification, RectifiedCamera, RectifyParams, RowSample,
+    StereoCameras, StereoError, ViewOrder,
 };
 use panoscope_imaging::{Parallel, Rect};
 
@@ -30,6 +30,19 @@ pub fn camera(camera: &Camera) -> Result<CameraModel, StereoError> {
     CameraModel::new(size, (camera.fx, camera.fy), (camera.cx, camera.cy), &camera.distortion)
 }
 
+/// Both cameras of a packet of raw views.
+///
+/// # Errors
+/// As [`camera`].
+pub fn cameras(packet: &Calibration) -> Result<StereoCameras, StereoError> {
+    Ok(StereoCameras {
+        left: camera(&packet.left)?,
+        right: camera(&packet.right)?,
+        rotation: matrix(&packet.right_from_left_rotation),
+        translation_mm: packet.right_from_left_mm,
+    })
+}
+
 /// Whether two packets describe the same cameras. The reprojection error may be NaN and changes nothing.
 pub fn same(a: &Calibration, b: &Calibration) -> bool {
     Calibration { rms_px: 0.0, ..*a } == Calibration { rms_px: 0.0, ..*b }
@@ -46,13 +59,7 @@ pub fn states_rectification(packet: &Calibration) -> bool {
 /// [`StereoError::Calibration`] when the cameras or the stated rectification are impossible.
 pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError> {
     if !states_rectification(packet) {
-        let cameras = StereoCameras {
-            left: camera(&packet.left)?,
-            right: camera(&packet.right)?,
-            rotation: matrix(&packet.right_from_left_rotation),
-            translation_mm: packet.right_from_left_mm,
-        };
-        return Rectification::new(&cameras, RectifyParams::default());
+        return Rectification::new(&cameras(packet)?, RectifyParams::default());
     }
     let (left, right) = (&packet.left_projection, &packet.right_projection);
     let numbers = left.iter().chain(right).chain(&packet.rectified_from_left).chain(&packet.rectified_from_right);
@@ -133,6 +140,7 @@ pub fn shrunk(packet: &Calibration, factor: u32) -> Calibration {
         left_projection: projection(&packet.left_projection),
         right_projection: projection(&packet.right_projection),
         rms_px: packet.rms_px / scale,
+        stated_error: CalibrationError::of_bits(packet.stated_error).map_or(0, |stated| stated.shrunk(scale).bits()),
         ..*packet
     }
 }
@@ -178,7 +186,7 @@ pub fn rectified(packet: &Calibration, rectification: &Rectification) -> Calibra
         baseline_mm: rectification.baseline_mm,
         rms_px: packet.rms_px,
         is_rectified: 1,
-        reserved: 0,
+        stated_error: packet.stated_error,
     }
 }
 

@@ -42,6 +42,6 @@ pub(crate) fn packet(left: View, right: View, baseline_mm: f64) -> Calibration {
         baseline_mm: baseline_mm.abs(),
         rms_px: f64::NAN,
         is_rectified: 1,
-        reserved: 0,
+        stated_error: 0,
     }
 }

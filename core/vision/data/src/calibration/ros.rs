@@ -294,7 +294,7 @@ fn pair(left: &CameraInfo, right: &CameraInfo) -> Calibration {
         baseline_mm: shift_mm.abs(),
         rms_px: f64::NAN,
         is_rectified: u32::from(left.is_rectified() && right.is_rectified()),
-        reserved: 0,
+        stated_error: 0,
     }
 }
 

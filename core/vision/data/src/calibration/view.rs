@@ -21,10 +21,12 @@ pub enum ViewState {
     OtherSize,
     /// Enough views have been collected.
     NotNeeded,
+    /// A part of a chessboard is seen, and it is not known which.
+    PartlySeen,
 }
 
 impl ViewState {
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 10] = [
         Self::Used,
         Self::NoBoardLeft,
         Self::NoBoardRight,
@@ -34,6 +36,7 @@ impl ViewState {
         Self::LargeError,
         Self::OtherSize,
         Self::NotNeeded,
+        Self::PartlySeen,
     ];
 
     /// Its number in tables.
@@ -58,6 +61,7 @@ impl ViewState {
             Self::LargeError => "its reprojection error stands out: blurred, mislabelled or not of one instant",
             Self::OtherSize => "its size differs from that of the views before",
             Self::NotNeeded => "enough views were there",
+            Self::PartlySeen => "a part of the board is seen, and other views do not say which",
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Local features: integral image, SURF, matching.
 
+pub mod checker;
 pub mod color;
 mod describe;
 pub mod evaluate;

@@ -23,5 +23,5 @@ pub use plausible::Plausibility;
 pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};
 pub use rms::{RmsWatch, rms_of};
 pub use roi::{overlap_roi, overlap_rois};
-pub(crate) use solve::{median, solve_regular};
+pub(crate) use solve::{median, solve_regular, solve_symmetric};
 pub use stability::{RegistrationState, Stability, StabilityParams, Stabilized, explains_as_well, median_error};

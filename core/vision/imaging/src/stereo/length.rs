@@ -1,8 +1,8 @@
 //! Distances, depths and angles of surface points, each with the error that is to be expected (thesis, figs 3.14 and 3.15).
 
-use super::SurfacePoint;
+use super::{CalibrationError, SurfacePoint};
 
-/// What is not known exactly about a rig and its matching; standard deviations.
+/// What is not known exactly about a rig and its matching; standard deviations. Those of the calibration are for one that does not state its own error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
     /// Of a filtered disparity, added as a square to the scatter around the point, px.
@@ -27,8 +27,12 @@ pub struct Errors {
     pub inverse_depth_per_px: f64,
     /// Of one point's disparity, added as a square to the scatter around it, px.
     pub disparity_px: f64,
+    /// Of one point's inverse depth by the calibration, in 1/mm.
+    pub point_inverse_depth: f64,
     /// Of all inverse depths alike (the calibration's disparity offset), in 1/mm.
     pub common_inverse_depth: f64,
+    /// Depth at which that changes no length, mm.
+    pub neutral_mm: f64,
     /// Of all lengths alike (baseline), relative.
     pub scale: f64,
     /// Of all depths against widths (focal length), relative.
@@ -36,28 +40,44 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Of rectified views with this focal length and baseline. `rms_px` is the calibration's reprojection error, NaN when unknown.
-    pub fn of(focal_px: f64, baseline_mm: f64, rms_px: f64, noise: &Noise) -> Self {
+    /// Of rectified views with this focal length and baseline. `rms_px` is the calibration's reprojection error, NaN when unknown; `stated` what it says of
+    /// its own error, which goes before `rms_px` and the calibration's part of `noise`.
+    pub fn of(focal_px: f64, baseline_mm: f64, rms_px: f64, stated: Option<CalibrationError>, noise: &Noise) -> Self {
         let inverse_depth_per_px = 1.0 / (focal_px * baseline_mm);
-        Self {
-            inverse_depth_per_px,
-            disparity_px: noise.disparity_px,
-            // `max` drops NaN.
-            common_inverse_depth: noise.offset_px.max(rms_px) * inverse_depth_per_px,
-            scale: noise.baseline_mm / baseline_mm,
-            depth_scale: noise.focal_percent / 100.0,
+        let disparity_px = noise.disparity_px;
+        match stated {
+            Some(stated) => Self {
+                inverse_depth_per_px,
+                disparity_px,
+                point_inverse_depth: stated.point_px * inverse_depth_per_px,
+                common_inverse_depth: stated.offset_px * inverse_depth_per_px,
+                neutral_mm: stated.neutral_mm,
+                scale: stated.scale_percent / 100.0,
+                depth_scale: 0.0,
+            },
+            None => Self {
+                inverse_depth_per_px,
+                disparity_px,
+                point_inverse_depth: 0.0,
+                // `max` drops NaN.
+                common_inverse_depth: noise.offset_px.max(rms_px) * inverse_depth_per_px,
+                neutral_mm: 0.0,
+                scale: noise.baseline_mm / baseline_mm,
+                depth_scale: noise.focal_percent / 100.0,
+            },
         }
     }
 
-    /// Of the inverse depth of a point, by its own match, in 1/mm.
+    /// Of the inverse depth of a point, by its own match and what the calibration adds to it alone, in 1/mm.
     ///
     /// Neither scatter nor confidence alone says how wrong a match is: a filter smooths patches that are matched wrongly under smoke and blood, and a
     /// surface that is matched well may be rough. So they are multiplied.
-    fn of_match(&self, point: &SurfacePoint) -> f64 {
+    fn of_point(&self, point: &SurfacePoint) -> f64 {
         let scatter_px = (point.scatter / self.inverse_depth_per_px).hypot(self.disparity_px);
         let doubt = point.confidence.map_or(UNKNOWN_DOUBT, |confidence| 1.0 - confidence);
         let by_doubt = (doubt + LEAST_DOUBT).powf(DOUBT_POWER) * (DOUBT_RISE * doubt.powi(3)).exp();
-        MATCH_PX * scatter_px.powf(SCATTER_POWER) * by_doubt * self.inverse_depth_per_px
+        (MATCH_PX * scatter_px.powf(SCATTER_POWER) * by_doubt * self.inverse_depth_per_px)
+            .hypot(self.point_inverse_depth)
     }
 }
 
@@ -123,12 +143,13 @@ pub fn with_error(points: &[SurfacePoint], errors: Option<&Errors>, measure: fn(
     let mut add = |changed: &[[f64; 3]; MAX_POINTS]| squares += (measure(&changed[..count]) - value).powi(2);
     for (index, point) in points[..count].iter().enumerate() {
         let mut changed = places;
-        changed[index] = point.xyz_mm(errors.of_match(point));
+        changed[index] = point.xyz_mm(errors.of_point(point));
         add(&changed);
     }
     let mut changed = places;
     for (place, point) in changed.iter_mut().zip(points) {
-        *place = point.xyz_mm(errors.common_inverse_depth);
+        let scale = 1.0 + errors.common_inverse_depth * errors.neutral_mm;
+        *place = point.xyz_mm(errors.common_inverse_depth).map(|part| part * scale);
     }
     add(&changed);
     add(&places.map(|place| place.map(|part| part * (1.0 + errors.scale))));
@@ -142,7 +163,7 @@ mod tests {
 
     #[test]
     fn the_error_grows_as_the_confidence_falls_and_is_wide_where_it_is_unknown() {
-        let errors = Errors::of(750.0, 15.0, f64::NAN, &Noise::USUAL);
+        let errors = Errors::of(750.0, 15.0, f64::NAN, None, &Noise::USUAL);
         let stated = |confidence: f32| {
             let point = |x: f64, z_mm: f64| SurfacePoint {
                 ray: [x, 0.0],
@@ -156,5 +177,26 @@ mod tests {
         let [full, half, none, unknown] = [1.0, 0.5, 0.0, f32::NAN].map(stated);
         assert!(full < 1.0 && unknown > 1.5 * full, "{full} mm, {unknown} mm");
         assert!(half > 1.5 * full && none > 2.0 * half, "{full}, {half}, {none} mm");
+    }
+
+    #[test]
+    fn what_a_calibration_states_goes_before_its_residual() {
+        let stated = CalibrationError { offset_px: 0.5, scale_percent: 0.1, point_px: 0.001, neutral_mm: 60.0 };
+        let bound = |z_mm: f64, rms_px: f64, stated: Option<CalibrationError>| {
+            let noise = Noise { disparity_px: 0.0, ..Noise::USUAL };
+            let errors = Errors::of(750.0, 15.0, rms_px, stated, &noise);
+            // Without scatter the match adds nothing.
+            let end = |x: f64| {
+                let point = SurfacePoint { ray: [x, 0.0], inverse_depth: 1.0 / z_mm, scatter: 0.0, confidence: None };
+                point.trusted(1.0)
+            };
+            with_error(&[end(-0.2), end(0.2)], Some(&errors), distance)
+        };
+        let (length, at_neutral) = bound(60.0, 0.5, Some(stated));
+        assert!((at_neutral / length - 0.002).abs() < 2e-4, "twice the scale's error, not {at_neutral} of {length} mm");
+        assert!(bound(90.0, 0.5, Some(stated)).1 / 36.0 > 0.003, "the offset counts away from the neutral depth");
+        let (_, unstated) = bound(60.0, 0.5, None);
+        assert!(unstated > 2.5 * at_neutral, "{unstated} {at_neutral}");
+        assert_eq!(bound(60.0, f64::NAN, Some(stated)).1, at_neutral);
     }
 }

@@ -10,6 +10,7 @@ pub mod block_matching;
 mod block_matching_finish;
 mod block_matching_kernel;
 mod border_strip;
+pub mod calibration_error;
 pub mod camera;
 pub mod confidence;
 mod epipolar;
@@ -51,6 +52,7 @@ pub mod wls;
 
 pub use bilateral_solver::{BilateralSolver, BilateralSolverParams};
 pub use block_matching::{BlockMatcher, BlockMatchingParams};
+pub use calibration_error::{BoardView, CalibrationError};
 pub use camera::{CameraModel, StereoCameras};
 pub use confidence::{Confidence, ConfidenceParams};
 pub use error::StereoError;
