@@ -14,6 +14,9 @@ const DOT_STEP: f32 = 4.0;
 /// Maximum number of dots of a key: more cannot be distinguished at a glance.
 pub const MAX_DOTS: usize = 6;
 
+/// Maximum growth of a bar's height.
+const MAX_GROWTH: f32 = 8.0;
+
 const GROUND: u8 = 16;
 const PLATE_COLOR: Color = [44, 42, 40];
 const INK: Color = [255; 3];
@@ -46,6 +49,13 @@ pub struct Bar {
 /// Height of a bar with `lines` lines of text, px.
 pub fn height_px(lines: usize, scale: f32) -> usize {
     (scale * (lines as f32 * (PLATE + GAP) + GAP)).ceil() as usize
+}
+
+/// Lines and text scale of a bar that is at least `wanted_px` high: the text grows, up to twice its size, then the number of lines.
+pub fn filling(lines: usize, scale: f32, wanted_px: f32) -> (usize, f32) {
+    let growth = (wanted_px / height_px(lines, scale).max(1) as f32).clamp(1.0, MAX_GROWTH);
+    let all = lines * (growth / 2.0).ceil() as usize;
+    (all, scale.max(scale * growth * height_px(lines, 1e3) as f32 / height_px(all, 1e3) as f32))
 }
 
 /// Draws the dots of a key to the right of `(x, y)`, the centre of the first one.
@@ -237,6 +247,20 @@ mod tests {
         assert!(data.iter().all(|v| *v == GROUND));
         bar.add("a\n\n b \n", Some(KEY));
         assert_eq!(bar.plates().collect::<Vec<_>>(), [("a", Some(KEY)), ("b", None)]);
+    }
+
+    #[test]
+    fn a_bar_fills_the_height_that_is_wanted() {
+        assert_eq!(filling(1, 1.75, 10.0), (1, 1.75), "never smaller");
+        for (wanted_px, lines) in [(40.0, 1), (80.0, 2), (120.0, 3)] {
+            let (found, scale) = filling(1, 1.75, wanted_px);
+            assert!(found == lines && (1.75..=3.5).contains(&scale), "{wanted_px}: {found} lines, scale {scale}");
+            assert!(
+                (height_px(found, scale) as f32 - wanted_px).abs() <= 1.0,
+                "{wanted_px}: {}",
+                height_px(found, scale)
+            );
+        }
     }
 
     #[test]

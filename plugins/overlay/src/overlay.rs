@@ -123,6 +123,10 @@ pub struct Settings {
     /// Number of lines of the bar below the image.
     #[param(default = 2, range = 1..=8)]
     pub bar_lines: usize,
+    /// Maximum width by height of an image with its bar: for a wider image the text grows, up to twice its size, then the number of lines, until the
+    /// bar is high enough. It fills what a wide image leaves free on a screen. 0 leaves the bar as it is.
+    #[param(default = 0.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
+    pub max_aspect: f32,
     /// Width to which a small image with a bar is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps
     /// its size.
     #[param(default = 0, range = 0..=4096, unit = "px")]
@@ -355,8 +359,9 @@ impl Overlay {
         (pen.line_px, pen.text_scale) = (pen.line_px * scale.max(1.0), pen.text_scale * scale);
         let factor = enlargement(frame.0, params.wanted_width);
         let (width, height) = (factor * frame.0, factor * frame.1);
-        let bar_scale = factor as f32 * pen.text_scale;
-        let bar_px = bar::height_px(params.bar_lines, bar_scale);
+        let wanted_px = if params.max_aspect > 0.0 { width as f32 / params.max_aspect - height as f32 } else { 0.0 };
+        let (lines, bar_scale) = bar::filling(params.bar_lines, factor as f32 * pen.text_scale, wanted_px);
+        let bar_px = bar::height_px(lines, bar_scale);
         let whole = slot.alloc(width, height + bar_px)?;
         let stride = whole.stride;
         let (upper, lower) = whole.data.split_at_mut(height * stride);
@@ -380,7 +385,7 @@ impl Overlay {
             self.small = small;
         }
         self.bar.add(&self.words, None);
-        self.bar.draw(&mut below, params.bar_lines, bar_scale);
+        self.bar.draw(&mut below, lines, bar_scale);
         Ok(())
     }
 

@@ -228,6 +228,18 @@ fn all_words_below(params: &str, text: &str, score: f32, labels: &str) -> Harnes
 }
 
 #[test]
+fn a_bar_grows_until_a_wide_image_is_narrow_enough() {
+    let height = |params: &str| {
+        let out = overlay(&format!("words = \"below\", bar_lines = 1, {params}")).process().unwrap();
+        out.plane::<Bgr8>("image").unwrap().height
+    };
+    let usual = height("max_aspect = 0");
+    assert_eq!(height("max_aspect = 1.3"), usual, "high enough");
+    let grown = height("max_aspect = 1.0");
+    assert!(grown > usual + 20 && grown.abs_diff(SIZE.0) <= 1, "{grown} px");
+}
+
+#[test]
 fn words_below_a_picture_leave_no_letter_on_it() {
     let columns = "columns = \"distance_mm\"";
     let out = all_words_below(columns, "the arm follows the tip", 0.93, "a\ngrasper").process().unwrap();

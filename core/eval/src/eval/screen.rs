@@ -182,7 +182,7 @@ struct InstrumentWatch {
     heard: Heard,
     /// Panorama, left and right view of ticks that are not complete.
     waiting: BTreeMap<u64, [Option<instruments::Image>; 3]>,
-    /// Position of the largest instrument in the previous tick.
+    /// View that showed the largest instrument in the previous tick, and its offset there.
     before: Option<(usize, [f64; 2])>,
 }
 
@@ -200,13 +200,14 @@ impl InstrumentWatch {
         if let Some(worst) = found.deviations_px.iter().copied().reduce(f64::max) {
             hear(&self.heard, &format!("instrument_px/{}", self.id), worst);
         }
-        if let (Some((view, now)), Some((same, before))) = (found.position, self.before)
-            && view == same
+        // Against the view of the previous tick, so that a change of the view counts.
+        if let Some((view, before)) = self.before
+            && let Some(now) = found.offsets[view]
         {
             let moved = (now[0] - before[0]).hypot(now[1] - before[1]);
             hear(&self.heard, &format!("instrument_jump_px/{}", self.id), moved);
         }
-        self.before = found.position;
+        self.before = found.view.and_then(|view| Some((view, found.offsets[view]?)));
     }
 }
 

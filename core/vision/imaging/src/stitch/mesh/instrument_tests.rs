@@ -263,12 +263,45 @@ fn an_instrument_that_neither_view_sees_whole_goes_on_without_a_step() {
         let [step, moved] = step(follower.mesh().expect("a mesh"), 355..540);
         assert!(step < 1.0 && moved < 20.0, "{when}: {step} px across, moved {moved} px");
     };
+    // The part beyond the border has glided along itself.
+    for _ in 0..24 {
+        update(&mut follower, &shaft_map(Shaft { tip: 255.0, ..FROM_RIGHT }));
+    }
     is_whole(&follower, "found");
     let nothing = map(|_, _| false, |_, _| TOOL_PX);
     for frame in 0..3 {
         update(&mut follower, &nothing);
         is_whole(&follower, &format!("missing for {frame} frames"));
     }
+}
+
+#[test]
+fn an_instrument_does_not_jump_when_its_view_changes() {
+    let mut follower = follower(true);
+    // Towards the border of the right view and back; nearer to the camera along itself.
+    let tips = (0..70).map(|frame| 430.0 - 2.0 * f64::from(frame)).chain([290.0; 30]);
+    let tips = tips.chain((0..110).map(|frame| 290.0 + 2.0 * f64::from(frame)));
+    let (mut before, mut worst_px, mut views) = ([0.0; 2], 0.0f64, Vec::new());
+    for (frame, tip) in tips.enumerate() {
+        let shaft = Shaft { tip, ..FROM_RIGHT };
+        let tool_px = |x: f64| 262.0 + 0.12 * (x - tip);
+        update(&mut follower, &map(|x, y| shaft.covers(x, y), |x, _| tool_px(x)));
+        let mesh = follower.mesh().expect("a mesh");
+        // Where the panorama shows two places of the shaft, from where the left view does.
+        let off = [20.0, 90.0].map(|along| {
+            let (x, y) = (tip + along, Shaft::middle(tip + along));
+            let view = mesh.kept_at([x as f32, y as f32]).view;
+            views.push(view);
+            if view == Kept::Other { drawn_at(mesh, [x - tool_px(x), y])[0] - x } else { 0.0 }
+        });
+        if frame > 0 {
+            worst_px = off.iter().zip(before).fold(worst_px, |worst, (now, then)| worst.max((now - then).abs()));
+        }
+        before = off;
+    }
+    assert!([Kept::Reference, Kept::Other].iter().all(|view| views.contains(view)) && !views.contains(&Kept::Free));
+    assert!(before[1] < -30.0, "{before:?} px from the left view in the end");
+    assert!(worst_px < 4.0, "{worst_px} px in one frame");
 }
 
 #[test]

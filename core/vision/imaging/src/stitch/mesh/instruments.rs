@@ -9,6 +9,7 @@
 use super::hints::{Hint, InstrumentHints};
 use super::kept::{Keep, Kept, KeptCells};
 use super::observe::Observations;
+use super::track::{BAND_PX, BORDER_PX, Cut, Track};
 use crate::geometry::Point;
 
 /// Maximum number of tracked instruments.
@@ -33,43 +34,11 @@ const MAX_SHARE: f64 = 0.45;
 const MIN_VOTES: f64 = 0.15;
 /// Frames for which an instrument is kept when it is not found.
 const KEPT_FRAMES: u32 = 6;
-/// Consecutive frames in which the other view must be better before it shows the instrument.
-const SWITCH_FRAMES: u32 = 8;
-/// Distance from the border of a view below which an instrument counts as cut off, px.
-const BORDER_PX: f64 = 16.0;
-/// Minimum number of cells at a border of an instrument that is cut off by it.
-const MIN_CUT: usize = 2;
 /// Distance from the border of the reference view within which the views are joined at an instrument, px.
 pub const JOINT_PX: f64 = 80.0;
 
 /// Maximum distance of shared unmatched cells from both pieces of one instrument.
 const MAX_CONTACT: u8 = 8;
-
-/// Cells at the border of the reference view, and at that of the other view.
-type Cut = [usize; 2];
-
-/// Whether neither view shows all of an instrument.
-fn is_cut_twice(cut: Cut) -> bool {
-    cut.iter().all(|cells| *cells >= MIN_CUT)
-}
-
-/// One instrument over time.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Track {
-    /// View that shows it; free for an unused slot.
-    pub view: Kept,
-    /// Displacement of its image in the other view from the homography, px.
-    pub shift: Option<Point>,
-    /// Slope of an instrument that is cut off by the border of the reference view: change of the position across the
-    /// border per position along it.
-    pub slope: Option<f64>,
-    /// A place next to the border of the reference view, px, and the same in the other view, of an instrument that the other view continues there.
-    pub joint: Option<[Point; 2]>,
-    /// Whether it has been joined in this frame: its image jumps.
-    pub jumps: bool,
-    missing_frames: u32,
-    pending_frames: u32,
-}
 
 /// Geometry of the views for instruments.
 #[derive(Clone, Copy, Debug)]
@@ -107,19 +76,19 @@ pub fn nearer_px([x, y]: [f64; 2], off: Point) -> f64 {
 /// The instruments of a view, on the grid of observations.
 #[derive(Clone, Debug, Default)]
 pub struct Instruments {
-    cell_px: usize,
-    columns: usize,
-    rows: usize,
+    pub(super) cell_px: usize,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
     /// Parallax against the mesh, px; NaN where unmatched.
     nearer: Vec<f32>,
     /// Number of the instrument that the reference view shows in a cell, from 1; 0 for none. The number of the previous
     /// frame and the parallax follow.
-    own: Vec<u8>,
+    pub(super) own: Vec<u8>,
     before: Vec<u8>,
     nearer_before: Vec<f32>,
     /// Number of the instrument that either view draws in a cell.
     drawn: Vec<u8>,
-    sure: Vec<u8>,
+    pub(super) sure: Vec<u8>,
     is_visited: Vec<bool>,
     depth: Vec<u8>,
     queue: Vec<usize>,
@@ -127,8 +96,8 @@ pub struct Instruments {
     /// Offsets in columns and rows from a cell to those on the way to its position in the other view.
     steps: Vec<[isize; 2]>,
     /// Cut-offs of this frame's instruments.
-    cuts: [Cut; MAX_INSTRUMENTS],
-    tracks: [Track; MAX_INSTRUMENTS],
+    pub(super) cuts: [Cut; MAX_INSTRUMENTS],
+    pub(super) tracks: [Track; MAX_INSTRUMENTS],
 }
 
 impl Instruments {
@@ -283,7 +252,7 @@ impl Instruments {
     }
 
     /// Whether a cell is among the first `cells` at the border of the reference view beyond which the other view reaches.
-    fn is_near_border(&self, place: [usize; 2], cells: usize, how: &Arrangement) -> bool {
+    pub(super) fn is_near_border(&self, place: [usize; 2], cells: usize, how: &Arrangement) -> bool {
         let (place, size) = (place[how.axis()], [self.columns, self.rows][how.axis()]);
         if how.is_beyond_end() { place + cells >= size } else { place < cells }
     }
@@ -298,15 +267,17 @@ impl Instruments {
     fn cut_of(&self, piece: &[usize], observations: &Observations, how: &Arrangement) -> Cut {
         let axis = how.axis();
         let size = [self.columns, self.rows][axis];
-        let border_px = BORDER_PX * how.scale;
-        let mut cut = [0; 2];
+        let mut cut = Cut::default();
         for cell in piece {
-            cut[0] += usize::from(self.is_at_border([cell % self.columns, cell / self.columns], how));
+            cut.by_reference += usize::from(self.is_at_border([cell % self.columns, cell / self.columns], how));
             let seen = &observations.cells[*cell];
             if seen.weight != 0.0 {
                 let source = seen.source[axis];
                 let far = if how.is_beyond_end() { source } else { (size * self.cell_px) as f64 - source };
-                cut[1] += usize::from(far < border_px);
+                let band = (far / (BAND_PX * how.scale)).max(0.0) as usize;
+                if let Some(cells) = cut.bands.get_mut(band) {
+                    *cells += 1;
+                }
             }
         }
         cut
@@ -332,11 +303,9 @@ impl Instruments {
             self.cuts[free] = cut;
             return;
         };
-        for (sum, cells) in self.cuts[best - 1].iter_mut().zip(cut) {
-            *sum += cells;
-        }
+        self.cuts[best - 1].add(cut);
         // Instruments that touch, and are shown by different views, stay two, unless the reference view shows both as far as it reaches.
-        let (view, is_joined) = (self.tracks[best - 1].view, is_cut_twice(self.cuts[best - 1]));
+        let (view, is_joined) = (self.tracks[best - 1].view, self.cuts[best - 1].is_twice());
         let is_two = |label: usize| !is_joined && takes_part(label) && self.tracks[label - 1].view != view;
         if !(1..=MAX_INSTRUMENTS).any(is_two) {
             piece.iter().for_each(|cell| self.own[*cell] = best as u8);
@@ -401,7 +370,7 @@ impl Instruments {
                     self.depth[to] = self.depth[cell] + step;
                     self.queue.push(to);
                     let place = [to % self.columns, to / self.columns];
-                    self.cuts[self.own[to] as usize - 1][0] += usize::from(self.is_at_border(place, how));
+                    self.cuts[self.own[to] as usize - 1].by_reference += usize::from(self.is_at_border(place, how));
                 }
             }
         }
@@ -426,13 +395,14 @@ impl Instruments {
                     continue;
                 }
                 let views = [a, b].map(|label| self.tracks[label as usize - 1].view);
-                let both = [0, 1].map(|view| cuts[a as usize - 1][view] + cuts[b as usize - 1][view]);
-                if is_cut_twice(both) || views[0] == views[1] || views.contains(&Kept::Free) {
+                let mut both = cuts[a as usize - 1];
+                both.add(cuts[b as usize - 1]);
+                if both.is_twice() || views[0] == views[1] || views.contains(&Kept::Free) {
                     // The one that has a view stays.
                     let (stays, goes) = if views[0] == Kept::Free { (b, a) } else { (a, b) };
                     same.iter_mut().filter(|label| **label == goes).for_each(|label| *label = stays);
                     let gone = std::mem::take(&mut cuts[goes as usize - 1]);
-                    cuts[stays as usize - 1].iter_mut().zip(gone).for_each(|(sum, cells)| *sum += cells);
+                    cuts[stays as usize - 1].add(gone);
                 }
             }
         }
@@ -470,80 +440,6 @@ impl Instruments {
                 self.nearer[cell] = self.nearer_before[cell];
             }
         }
-    }
-
-    /// Chooses the view that shows each instrument: the one that does not cut it off, and else the one that showed it
-    /// before.
-    fn choose(&mut self, observations: &Observations, how: &Arrangement) {
-        let axis = how.axis();
-        // Count, first and second moments.
-        let mut sums = [[0.0f64; 6]; MAX_INSTRUMENTS];
-        for (cell, label) in self.own.iter().enumerate().filter(|(_, label)| **label != 0) {
-            let index = *label as usize - 1;
-            let place = [cell % self.columns, cell / self.columns];
-            let (a, b) = (place[axis] as f64, place[1 - axis] as f64);
-            let terms = [1.0, a, b, a * a, a * b, b * b];
-            sums[index].iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-        }
-        let [low, high] = how.shared[axis];
-        let joints = self.joints(observations, how);
-        for (index, track) in self.tracks.iter_mut().enumerate() {
-            let [count, a, b, aa, ab, bb] = sums[index];
-            if count == 0.0 {
-                continue;
-            }
-            let cut = self.cuts[index];
-            // What was not found in this frame stays as it is.
-            let is_joined_still = track.joint.is_some() && track.missing_frames > 0;
-            let [by_reference, by_other] = cut.map(|cells| cells >= MIN_CUT || is_joined_still);
-            let middle = 0.5 * (low + high) as f64;
-            let is_beyond_middle = (a / count > middle) == how.is_beyond_end();
-            // Once joined it stays so, or its image would jump to and fro.
-            let was_joined = track.joint.is_some();
-            let is_joined = by_reference && (by_other || was_joined);
-            track.joint = joints[index].or(track.joint).filter(|_| is_joined);
-            track.jumps = track.joint.is_some() && !was_joined;
-            if track.jumps {
-                (track.view, track.pending_frames) = (Kept::Free, 0);
-            }
-            let wanted = match (by_reference, by_other, track.view) {
-                _ if track.joint.is_some() => Kept::Reference,
-                (true, false, _) => Kept::Other,
-                (false, true, _) => Kept::Reference,
-                (_, _, Kept::Free) if by_reference && cut[0] >= cut[1] => Kept::Other,
-                (false, false, Kept::Free) if is_beyond_middle => Kept::Other,
-                (_, _, Kept::Free) => Kept::Reference,
-                (_, _, view) => view,
-            };
-            track.pending_frames = if wanted == track.view { 0 } else { track.pending_frames + 1 };
-            if track.view == Kept::Free || track.pending_frames > SWITCH_FRAMES {
-                if track.view == Kept::Free {
-                    track.shift = None;
-                }
-                (track.view, track.pending_frames) = (wanted, 0);
-            }
-            let (aa, ab, bb) = (aa - a * a / count, ab - a * b / count, bb - b * b / count);
-            let turn = 0.5 * (2.0 * ab).atan2(aa - bb);
-            if track.missing_frames == 0 {
-                track.slope = by_reference.then(|| turn.tan().clamp(-1.5, 1.5));
-            }
-        }
-    }
-
-    /// Mean positions in both views, px, of what is matched of each instrument next to the border of the reference view; `None` where nothing is.
-    fn joints(&self, observations: &Observations, how: &Arrangement) -> [Option<[Point; 2]>; MAX_INSTRUMENTS] {
-        let reach = (JOINT_PX * how.scale / self.cell_px as f64) as usize + 1;
-        let mut sums = [([[0.0f64; 2]; 2], 0usize); MAX_INSTRUMENTS];
-        for (cell, label) in self.sure.iter().enumerate().filter(|(_, label)| **label != 0) {
-            let seen = &observations.cells[cell];
-            let place = [cell % self.columns, cell / self.columns];
-            if seen.weight != 0.0 && self.is_near_border(place, reach, how) {
-                let (sum, count) = &mut sums[*label as usize - 1];
-                sum.iter_mut().flatten().zip(seen.at.into_iter().chain(seen.source)).for_each(|(sum, v)| *sum += v);
-                *count += 1;
-            }
-        }
-        sums.map(|(sum, count)| (count >= MIN_CUT).then(|| sum.map(|point| point.map(|v| v / count as f64))))
     }
 
     /// Sets `drawn`: the instruments' positions in the reference view, in the other view, and all cells in between; and

@@ -9,6 +9,7 @@
 
 mod band;
 mod border;
+mod choice;
 mod doubt;
 mod energy;
 mod fitted;
@@ -25,6 +26,7 @@ mod rigid;
 mod scaled;
 #[cfg(test)]
 mod tests;
+mod track;
 
 pub use follow::{MeshFollower, MeshParams, MeshReport};
 pub use hints::InstrumentHints;

@@ -6,6 +6,7 @@
 use super::Lattice;
 use super::instruments::{Arrangement, Instruments, JOINT_PX, MAX_INSTRUMENTS};
 use super::kept::Kept;
+use super::track::Sloped;
 use crate::geometry::{Point, length};
 
 /// Distance from an instrument within which the mesh is rigid, cells; includes all corners of a cell with an
@@ -19,6 +20,8 @@ const LEFT: f32 = 0.9;
 const MAX_RISE: f32 = 0.2;
 /// Share of a new displacement that enters the running one per frame.
 const RATE: f64 = 0.1;
+/// Share of a new displacement between the views of an instrument that enters the running one per frame.
+const MATCHED_RATE: f64 = 0.5;
 /// Weights below this count as 0.
 const MIN_WEIGHT: f32 = 0.01;
 
@@ -92,7 +95,9 @@ impl Rigid {
                 weights.weight[vertex] = weight;
                 self.is_used[which] |= weight > 0.0;
                 if view == Kept::Other && target > 0.0 {
-                    let Some(wanted) = instruments.track(weights.nearest[vertex] as usize).shift else { continue };
+                    let own = lattice.position(vertex % lattice.columns, vertex / lattice.columns);
+                    let track = instruments.track(weights.nearest[vertex] as usize);
+                    let Some(wanted) = track.displacement(own) else { continue };
                     let share = if held > 0.0 { f64::from((target / weight.max(target)).min(1.0)) } else { 1.0 };
                     let shift = &mut self.shift[vertex];
                     *shift = [0, 1].map(|k| shift[k] + share * (wanted[k] - shift[k]));
@@ -149,6 +154,11 @@ fn follow_shifts(
     for (index, [x, y, count]) in sums.into_iter().enumerate().filter(|(_, sum)| sum[2] > 0.0) {
         let track = instruments.track_mut(index + 1);
         let mean = [x / count, y / count];
+        if let Some(ends) = track.ends
+            && let Some(new) = matched(lattice, base, ends)
+        {
+            track.matched.get_or_insert(new).approach(&new, MATCHED_RATE);
+        }
         let joint = track.joint.and_then(|[here, there]| {
             let (cell, t) = lattice.cell_of(here)?;
             let base = lattice.interpolate(|vertex| base[vertex], cell, t);
@@ -167,6 +177,16 @@ fn follow_shifts(
             None => mean,
         });
     }
+}
+
+/// The displacement from the homography that shows two places of the other view at those of the reference view; `None` outside the mesh.
+fn matched(lattice: &Lattice, base: &[Point], ends: [[Point; 2]; 2]) -> Option<Sloped> {
+    let off = |[here, there]: [Point; 2]| {
+        let (cell, t) = lattice.cell_of(here)?;
+        let base = lattice.interpolate(|vertex| base[vertex], cell, t);
+        Some([0, 1].map(|k| there[k] - base[k]))
+    };
+    Some(Sloped::through([ends[0][0], ends[1][0]], [off(ends[0])?, off(ends[1])?]))
 }
 
 impl Weights {
@@ -188,7 +208,8 @@ impl Weights {
         for (at, number) in instruments.cells(in_either) {
             let track = instruments.track(number);
             let is_joint = in_either && track.joint.is_some() && is_near_end(at, JOINT_PX * how.scale);
-            if track.view != view && !is_joint {
+            let is_shown = if in_either { track.view == view } else { instruments.is_for_reference(number) };
+            if !is_shown && !is_joint {
                 continue;
             }
             is_any = true;
