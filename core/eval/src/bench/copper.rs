@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use panoscope_host::loader::python::cache_folder;
+use panoscope_host::loader::cache_folder;
 
 use crate::error::{EvalError, FileAction, OnFile, Result};
 use crate::session::{Session, check_cancelled, note};

@@ -33,6 +33,6 @@ pub use live::Live;
 pub use locked_file::{Kind, LockedFile};
 pub use map::{describe_verified, inspect, load, load_verified};
 pub use plugin_file::{Loaded, PluginFile};
-pub use python::{Python, module as python_module, package as python_package};
+pub use python::{Python, cache_folder, module as python_module, package as python_package};
 pub use search::{Loader, PLUGIN_PATH_VARIABLE, search_path};
 pub use stamp::Stamp;
