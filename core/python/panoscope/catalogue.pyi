@@ -1847,6 +1847,7 @@ class NodeTypes:
         show_inset: Flag = ...,
         words: Union[Literal["picture", "below", "nowhere"], Arg] = ...,
         bar_lines: Whole = ...,
+        max_aspect: Number = ...,
         wanted_width: Whole = ...,
         label: Text = ...,
         label_corner: Union[Literal["top_left", "top_right", "bottom_left", "bottom_right"], Arg] = ...,
@@ -1887,6 +1888,7 @@ class NodeTypes:
         show_inset: Shows the disparity or depth map as an inset. (default True)
         words: Where text is written: on the image, or below it where it covers nothing. (default "picture")
         bar_lines: Number of lines of the bar below the image. (1 to 8; default 2)
+        max_aspect: Maximum width by height of an image with its bar: for a wider image the text grows, up to twice its size, then the number of lines, until the bar is high enough. It fills what a wide image leaves free on a screen. 0 leaves the bar as it is. (0 to 4 ratio; default 0)
         wanted_width: Width to which a small image with a bar is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)
         label: Text that is always written in the corner; the title of a bar below the image. (default "")
         label_corner: Corner of all text. (default "top_left")

@@ -305,6 +305,15 @@ impl Projective {
         [to.x / to.z, to.y / to.z]
     }
 
+    /// Whether lengths around a point change by less than a third and angles little: a map that presses an outline flat fits
+    /// any straight edge.
+    fn keeps_shape(&self, at: Point) -> bool {
+        let [here, right, below] = [at, [at[0] + 1.0, at[1]], [at[0], at[1] + 1.0]].map(|p| self.map(p));
+        let ([a, c], [b, d]) = (minus(right, here), minus(below, here));
+        let usual = 0.66..1.5;
+        usual.contains(&a.hypot(c)) && usual.contains(&b.hypot(d)) && usual.contains(&(a * d - b * c))
+    }
+
     fn inverse(&self) -> Option<Self> {
         self.0.try_inverse().map(Self)
     }
@@ -373,6 +382,10 @@ fn fit(outline: &[Point], shown: &Outlines, view: &Outlines) -> Option<Fit> {
             .collect();
         at = Projective::of(&pairs, step >= 15)?;
     }
+    let centre = outline.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]).map(|v| v / outline.len() as f64);
+    if !at.keeps_shape(centre) {
+        return None;
+    }
     let inside: Vec<Point> =
         outline.iter().map(|p| at.map(*p)).filter(|p| is_inside(*p, view.width, view.height)).collect();
     if (inside.len() as f64) < MIN_INSIDE * outline.len() as f64 {
@@ -392,7 +405,6 @@ fn fit(outline: &[Point], shown: &Outlines, view: &Outlines) -> Option<Fit> {
     let back = at.inverse()?;
     let returned = same.iter().map(|p| back.map(*p)).filter(|p| is_inside(*p, shown.width, shown.height));
     let back = quantile(returned.map(|p| far(shown, p)).collect());
-    let centre = outline.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]).map(|v| v / outline.len() as f64);
     Some(Fit { deviation_px: there.max(back), offset: minus(at.map(centre), centre) })
 }
 
@@ -550,6 +562,19 @@ mod tests {
             let found = compare(&shown, [&view, &view]);
             assert!(found.deviations_px[0] < 0.5, "{scale}, {dx}: {found:?}");
         }
+    }
+
+    #[test]
+    fn an_outline_is_not_pressed_flat_onto_an_edge() {
+        let metal = [80.0; 3];
+        let (shown, view) = (jaws(metal, |at| at), jaws(metal, |[x, y]| [x + 60.0, y]));
+        // Of the other view only a straight edge is left.
+        let mut edge = view.clone();
+        edge.pixels.chunks_exact_mut(3).enumerate().filter(|(i, _)| i / 480 > 110).for_each(|(_, p)| p.fill(80));
+        let found = compare(&shown, [&view, &edge]);
+        assert!(found.view == Some(0) && found.deviations_px[0] < 0.5, "{found:?}");
+        let found = compare(&shown, [&edge, &edge]);
+        assert!(found.deviations_px.iter().all(|px| *px > 2.0), "{found:?}");
     }
 
     #[test]

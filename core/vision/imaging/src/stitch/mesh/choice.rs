@@ -10,12 +10,20 @@ use super::observe::Observations;
 use super::track::{BAND_PX, BANDS, BORDER_PX, MIN_CUT};
 use crate::geometry::Point;
 
-/// Distance from the border of the other view below which an instrument glides to the reference view, and above which it
-/// returns to the other view, px of a view of 640 columns. It has arrived at [`BORDER_PX`], however fast it moves.
-const START_PX: f64 = 64.0;
+/// Distance from the border of the other view, px of a view of 640 columns, below which an instrument that the border of the
+/// reference view cuts off glides to the reference view, so that its tip is not cut off as well; thin tips are unmatched.
+const START_PX: f64 = 96.0;
+/// The same for one that both views show completely.
+const START_WHOLE_PX: f64 = 24.0;
+/// Distance above which it returns to the other view.
 const RETURN_PX: f64 = BAND_PX * BANDS as f64;
-/// Frames in which an instrument that does not move glides from one position to the other.
-const GLIDE_FRAMES: f64 = 24.0;
+/// Frames in which an instrument that does not move glides from one position to the other, and the fastest glide.
+const GLIDE_FRAMES: f64 = 16.0;
+const MIN_GLIDE_FRAMES: f64 = 8.0;
+/// Frames in which the continuation of one that the reference view shows glides back: a shaft looks the same along itself.
+const RETURN_FRAMES: f64 = 5.0;
+/// Consecutive frames in which the reference view must be better before a glide starts: single wrong matches start none.
+const START_FRAMES: u32 = 3;
 /// Share of the way from which the reference view is prepared to show it.
 const PREPARED: f64 = 0.5;
 /// Consecutive frames in which the other view must be better before it shows the instrument.
@@ -57,7 +65,9 @@ impl Instruments {
             let cut = self.cuts[index];
             let (by_reference, clear_px) = (cut.is_by_reference(), cut.clear_px());
             track.slope = by_reference.then(|| (along[1 - axis] / along[axis]).clamp(-1.5, 1.5));
-            let by_other = clear_px < if track.view == Kept::Reference { RETURN_PX } else { START_PX };
+            let start_px = if by_reference { START_PX } else { START_WHOLE_PX };
+            let has_started = track.view == Kept::Reference || (by_reference && track.glide > 0.0);
+            let by_other = clear_px < if has_started { RETURN_PX } else { start_px };
             let joint = joints[index].or(track.joint).filter(|_| by_reference && by_other);
             let is_beyond_middle = (centre[axis] > middle_px) == how.is_beyond_end();
             let wanted = match (by_reference, by_other, track.view) {
@@ -73,12 +83,12 @@ impl Instruments {
             let before = track.view;
             match (before, wanted) {
                 (Kept::Other, Kept::Reference) => {
-                    let due = ((START_PX - clear_px) / (START_PX - BORDER_PX)).clamp(0.0, 1.0);
-                    track.jumps = track.glide <= PREPARED;
-                    track.glide = (track.glide + 1.0 / GLIDE_FRAMES).max(due).min(1.0);
-                    let has_arrived = track.glide >= 1.0;
-                    track.jumps &= has_arrived;
-                    if has_arrived {
+                    if track.pending_frames >= START_FRAMES {
+                        let due = (start_px - clear_px) / (start_px - BORDER_PX);
+                        let step = (due - track.glide).clamp(1.0 / GLIDE_FRAMES, 1.0 / MIN_GLIDE_FRAMES);
+                        track.glide = (track.glide + step).min(1.0);
+                    }
+                    if track.glide >= 1.0 {
                         (track.view, track.joint) = (wanted, joint);
                     }
                 }
@@ -89,7 +99,8 @@ impl Instruments {
                     }
                 }
                 _ => {
-                    track.glide = (track.glide - 1.0 / GLIDE_FRAMES).max(0.0);
+                    let frames = if before == Kept::Reference { RETURN_FRAMES } else { GLIDE_FRAMES };
+                    track.glide = (track.glide - 1.0 / frames).max(0.0);
                     track.jumps = joint.is_some() && track.joint.is_none();
                     if track.jumps {
                         track.glide = 0.0;

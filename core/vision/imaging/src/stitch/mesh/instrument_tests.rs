@@ -78,7 +78,12 @@ fn shaft_map(shaft: Shaft) -> Vec<f32> {
 }
 
 fn update(follower: &mut MeshFollower, map: &[f32]) {
-    let plane = Homography::translation(PLANE_PX, 0.0);
+    update_by(follower, map, PLANE_PX);
+}
+
+/// Updates with a homography that displaces the right view by `plane_px`.
+fn update_by(follower: &mut MeshFollower, map: &[f32], plane_px: f64) {
+    let plane = Homography::translation(plane_px, 0.0);
     let report = follower.update(View::new(map, SIZE.0, SIZE.1, 1), &camera(), &camera(), &plane, &Serial);
     assert!(!report.is_held, "{report:?}");
 }
@@ -302,6 +307,22 @@ fn an_instrument_does_not_jump_when_its_view_changes() {
     assert!([Kept::Reference, Kept::Other].iter().all(|view| views.contains(view)) && !views.contains(&Kept::Free));
     assert!(before[1] < -30.0, "{before:?} px from the left view in the end");
     assert!(worst_px < 4.0, "{worst_px} px in one frame");
+}
+
+#[test]
+fn an_instrument_stands_still_when_the_homography_is_measured_anew() {
+    let mut follower = follower(true);
+    let map = shaft_map(FROM_RIGHT);
+    let tip = |follower: &MeshFollower| drawn_at(follower.mesh().expect("a mesh"), [160.0, 235.0])[0];
+    for _ in 0..6 {
+        update(&mut follower, &map);
+    }
+    let (first, mut worst_px) = (tip(&follower), 0.0f64);
+    for plane_px in [PLANE_PX + 2.0, PLANE_PX + 2.0, PLANE_PX - 1.0, PLANE_PX - 1.0, PLANE_PX] {
+        update_by(&mut follower, &map, plane_px);
+        worst_px = worst_px.max((tip(&follower) - first).abs());
+    }
+    assert!(worst_px < 0.4, "{worst_px} px");
 }
 
 #[test]

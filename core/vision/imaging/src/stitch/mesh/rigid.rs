@@ -43,6 +43,9 @@ pub struct Rigid {
     weights: [Weights; 2],
     /// Displacement of the other view against the homography, px.
     shift: Vec<Point>,
+    /// The positions of the vertices by the homography of the previous frame, and by how much they have moved since, px.
+    base: Vec<Point>,
+    moved: Vec<Point>,
     is_used: [bool; 2],
 }
 
@@ -65,6 +68,7 @@ impl Rigid {
         let rate = if is_new { 1.0 } else { RATE };
         let is_new = is_new || self.lattice != *lattice;
         self.lattice = *lattice;
+        self.follow_base(base, is_new);
         for (which, view) in [Kept::Reference, Kept::Other].into_iter().enumerate() {
             let weights = &mut self.weights[which];
             if is_new || !self.is_used[which] {
@@ -81,12 +85,15 @@ impl Rigid {
             }
             if view == Kept::Other {
                 let full = FULL_CELLS * lattice.cell_px as f64;
-                follow_shifts(instruments, weights, (lattice, how.axis()), (full as f32, rate), [drawn, base]);
+                let moved = &self.moved;
+                follow_shifts(instruments, weights, (lattice, how.axis()), (full as f32, rate), [drawn, base, moved]);
                 self.shift.resize(lattice.len(), [0.0; 2]);
             }
             self.is_used[which] = false;
             for vertex in 0..lattice.len() {
-                let target = target(weights.distance_px[vertex], lattice.cell_px as f32);
+                let glide = weights.nearest.get(vertex).filter(|number| **number > 0);
+                let glide = glide.map_or(0.0, |number| instruments.track(*number as usize).glide);
+                let target = target(weights.distance_px[vertex], lattice.cell_px as f32, 1.0 + glide as f32);
                 // A mesh halfway would bend it.
                 let jumps = target > 0.0 && instruments.track(weights.nearest[vertex] as usize).jumps;
                 let held = if jumps { 0.0 } else { weights.weight[vertex] };
@@ -104,6 +111,22 @@ impl Rigid {
                 }
             }
         }
+    }
+
+    /// Keeps displaced positions where they are when the homography changes: it is measured anew at intervals, and a step of it
+    /// would move the instruments against the tissue.
+    fn follow_base(&mut self, base: &[Point], is_new: bool) {
+        self.moved.clear();
+        if is_new || self.base.len() != base.len() {
+            self.moved.resize(base.len(), [0.0; 2]);
+        } else {
+            self.moved.extend(base.iter().zip(&self.base).map(|(now, then)| [now[0] - then[0], now[1] - then[1]]));
+        }
+        for (shift, moved) in self.shift.iter_mut().zip(&self.moved) {
+            *shift = [shift[0] - moved[0], shift[1] - moved[1]];
+        }
+        self.base.clear();
+        self.base.extend_from_slice(base);
     }
 
     /// Makes the mesh of the other view rigid around the instruments that it shows.
@@ -129,9 +152,10 @@ impl Rigid {
     }
 }
 
-/// Weight at a distance from an instrument.
-fn target(distance_px: f32, cell_px: f32) -> f32 {
-    let t = 1.0 - (distance_px / cell_px - FULL_CELLS as f32) / FADE_CELLS as f32;
+/// Weight at a distance from an instrument. It fades over `widths` times the usual distance, so that a large displacement
+/// bends the tissue less.
+fn target(distance_px: f32, cell_px: f32, widths: f32) -> f32 {
+    let t = 1.0 - (distance_px / cell_px - FULL_CELLS as f32) / (widths * FADE_CELLS as f32);
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
@@ -143,16 +167,20 @@ fn follow_shifts(
     weights: &Weights,
     (lattice, axis): (&Lattice, usize),
     (full_px, rate): (f32, f64),
-    [drawn, base]: [&[Point]; 2],
+    [drawn, base, moved]: [&[Point]; 3],
 ) {
-    let mut sums = [[0.0f64; 3]; MAX_INSTRUMENTS];
+    let mut sums = [[0.0f64; 5]; MAX_INSTRUMENTS];
     for (vertex, _) in weights.distance_px.iter().enumerate().filter(|(_, distance)| **distance <= full_px) {
         let sum = &mut sums[weights.nearest[vertex] as usize - 1];
-        let (at, base) = (drawn[vertex], base[vertex]);
-        sum.iter_mut().zip([at[0] - base[0], at[1] - base[1], 1.0]).for_each(|(sum, term)| *sum += term);
+        let (at, base, moved) = (drawn[vertex], base[vertex], moved[vertex]);
+        let terms = [at[0] - base[0], at[1] - base[1], 1.0, moved[0], moved[1]];
+        sum.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
     }
-    for (index, [x, y, count]) in sums.into_iter().enumerate().filter(|(_, sum)| sum[2] > 0.0) {
+    for (index, [x, y, count, moved_x, moved_y]) in sums.into_iter().enumerate().filter(|(_, sum)| sum[2] > 0.0) {
         let track = instruments.track_mut(index + 1);
+        let moved = [moved_x / count, moved_y / count];
+        track.shift = track.shift.map(|held| [held[0] - moved[0], held[1] - moved[1]]);
+        track.matched.iter_mut().for_each(|held| held.move_by([-moved[0], -moved[1]]));
         let mean = [x / count, y / count];
         if let Some(ends) = track.ends
             && let Some(new) = matched(lattice, base, ends)

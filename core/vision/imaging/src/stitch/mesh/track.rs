@@ -8,8 +8,8 @@ pub(super) const BORDER_PX: f64 = 16.0;
 /// Minimum number of cells at a border of an instrument that is cut off by it.
 pub(super) const MIN_CUT: usize = 2;
 /// Width of a band of distances from the border of the other view, px of a view of 640 columns, and their number.
-pub(super) const BAND_PX: f64 = 4.0;
-pub(super) const BANDS: usize = 32;
+pub(super) const BAND_PX: f64 = 5.0;
+pub(super) const BANDS: usize = 27;
 
 /// How far the views show an instrument.
 #[derive(Clone, Copy, Debug, Default)]
@@ -101,6 +101,11 @@ impl Sloped {
     pub(super) fn at(&self, [x, y]: Point) -> Point {
         let Self([origin, by_x, by_y]) = self;
         [0, 1].map(|k| origin[k] + by_x[k] * x + by_y[k] * y)
+    }
+
+    /// Adds a displacement.
+    pub(super) fn move_by(&mut self, [x, y]: Point) {
+        self.0[0] = [self.0[0][0] + x, self.0[0][1] + y];
     }
 
     /// Moves it towards another one by a share.
