@@ -262,6 +262,10 @@ class FeaturesSurf(Node):
     matches: Output[Literal["table"]]
     """Matches: row numbers in both tables."""
 
+class FindBoard(Node):
+    table: Output[Literal["table"]]
+    """One row per point that was found: its number on the board, its position on the board in mm, and in the picture in px."""
+
 class Frames(Node):
     image: Output[Literal["image"]]
     """The test frame."""
@@ -1514,6 +1518,19 @@ class NodeTypes:
         ratio: Maximum ratio of the best to the second-best distance of a match. (0.3 to 1 ratio; default 0.8)
         mutual: Keeps a match only when each point is the other's best. (default True)"""
 
+    def find_board(
+        self,
+        image: Input[Literal["image"]],
+        *,
+        board: Text = ...,
+        id: str | None = None,
+        **options: Unpack[NodeOptions],
+    ) -> FindBoard:
+        """Finds the points of a chessboard, circle grid or ChArUco board, such as to measure known lengths with a calibration.
+
+        image: Picture of the board.
+        board: Printed pattern, named as for `calibrate_stereo`. (default "chessboard:9x6:25mm")"""
+
     def frames(
         self,
         *,
@@ -1721,7 +1738,7 @@ class NodeTypes:
         points: Points of the left rectified view in px: u, v, u, v, ... (default [])
         radius_px: Radius of the neighbourhood to which a surface is fitted at each point. (1 to 32 px; default 4)
         disparity_noise_px: Standard deviation of a filtered disparity, added as a square to the scatter around the point: 0.35 where `scale` of the matcher halves the views. (0 to 4 px; default 0.05)
-        disparity_offset_px: Standard deviation of the calibration's disparity offset; its reprojection error is used when larger. (0 to 4 px; default 0.05)
+        disparity_offset_px: Standard deviation of the calibration's disparity offset; its reprojection error is used when larger. This and the two below count where the calibration does not state its own error. (0 to 4 px; default 0.05)
         baseline_error_mm: Standard deviation of the calibration's baseline. (0 to 4 mm; default 0.05)
         focal_error_percent: Standard deviation of the calibration's focal length. (0 to 10 %; default 0.1)"""
 

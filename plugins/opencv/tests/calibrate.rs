@@ -176,9 +176,13 @@ fn glare(mut picture: Vec<u8>, [x, y]: [f64; 2]) -> Vec<u8> {
 
 #[test]
 fn boards_with_covered_corners_are_used() {
-    let mut node = open("model = \"radial\", solve_at = 8");
+    const COVERED: [usize; 5] = [0, 1, 3, 6, 7];
+    let mut node = open("model = \"radial\", solve_at = 13");
+    for [left, right] in POSES.map(pair) {
+        show(&mut node, [&left, &right]);
+    }
     let mut out = None;
-    for pose in POSES {
+    for pose in COVERED.map(|index| POSES[index]) {
         let [left, right] = pair(pose);
         let at =
             |x_mm: f64| [199.5 + FOCAL_PX * (pose.1[0] - x_mm) / pose.1[2], 149.5 + FOCAL_PX * pose.1[1] / pose.1[2]];
@@ -189,9 +193,9 @@ fn boards_with_covered_corners_are_used() {
     let found: Calibration = out.value("calibration").unwrap();
     assert!((found.left.fx / FOCAL_PX - 1.0).abs() < 0.01 && found.rms_px < 0.2, "{found:?}");
     assert!((found.baseline_mm - BASELINE_MM).abs() < 0.2, "{}", found.baseline_mm);
-    for row in out.table("table").unwrap().rows() {
-        assert!((10.0..24.0).contains(&row[2]), "{row:?}");
-    }
+    let rows: Vec<Vec<f64>> = out.table("table").unwrap().rows().map(<[f64]>::to_vec).collect();
+    assert!(rows[8..].iter().all(|row| row[2] >= 8.0), "{rows:?}");
+    assert!(rows[8..].iter().filter(|row| row[2] < 24.0).count() >= 3, "{rows:?}");
 }
 
 #[test]

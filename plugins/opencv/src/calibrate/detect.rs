@@ -21,9 +21,6 @@ pub type Points = Vec<(usize, [f32; 2])>;
 /// Half the window of the sub-pixel search in OpenCV's sample, px.
 const SAMPLE_WINDOW_PX: i32 = 11;
 
-/// Share of the corners from which on a board is as good as not covered.
-const NEARLY_ALL: f64 = 0.9;
-
 enum Kind {
     Chessboard { corners: Size, is_sample: bool },
     Circles { circles: Size, flags: i32, blobs: Ptr<Feature2D> },
@@ -125,16 +122,13 @@ fn chessboard(view: View<'_, u8>, corners: Size) -> opencv::Result<Seen> {
     if find_whole(gray, corners, &mut places)? {
         return placed(numbered(&places));
     }
-    let grid = checker::find(&view);
-    let covered = grid.as_ref().and_then(|grid| grid::on_chessboard(grid, corners));
-    // The detector for hard cases finds boards with all corners only, and its fitted template is finer than a search around each corner, above all in
-    // blur.
-    let is_covered =
-        covered.as_ref().is_some_and(|points| (points.len() as f64) < NEARLY_ALL * f64::from(corners.area()));
-    if !is_covered && find_hard(gray, corners, &mut places)? {
+    // A fitted template is finer than a search around each corner, above all in blur.
+    if find_hard(gray, corners, &mut places)? {
         return Ok(Seen { points: numbered(&places), part: None });
     }
-    if let Some(points) = covered {
+    // OpenCV's detectors find boards with all corners only.
+    let grid = checker::find(&view);
+    if let Some(points) = grid.as_ref().and_then(|grid| grid::on_chessboard(grid, corners)) {
         return placed(points);
     }
     if find_enlarged(gray, corners, &mut places)? {
