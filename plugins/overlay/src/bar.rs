@@ -53,9 +53,10 @@ pub fn height_px(lines: usize, scale: f32) -> usize {
 
 /// Lines and text scale of a bar that is at least `wanted_px` high: the text grows, up to twice its size, then the number of lines.
 pub fn filling(lines: usize, scale: f32, wanted_px: f32) -> (usize, f32) {
-    let growth = (wanted_px / height_px(lines, scale).max(1) as f32).clamp(1.0, MAX_GROWTH);
+    let units = |lines: usize| lines as f32 * (PLATE + GAP) + GAP;
+    let growth = (wanted_px / (scale * units(lines))).clamp(1.0, MAX_GROWTH);
     let all = lines * (growth / 2.0).ceil() as usize;
-    (all, scale.max(scale * growth * height_px(lines, 1e3) as f32 / height_px(all, 1e3) as f32))
+    (all, scale.max(scale * growth * units(lines) / units(all)))
 }
 
 /// Draws the dots of a key to the right of `(x, y)`, the centre of the first one.
