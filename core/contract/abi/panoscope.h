@@ -29,7 +29,7 @@
 /**
  * Grows when fields, flags or host functions are appended, or a reserved field gets a name.
  */
-#define PANOSCOPE_ABI_MINOR 4
+#define PANOSCOPE_ABI_MINOR 5
 
 /**
  * Set in PanoscopeCall.flags in `batch` mode.
@@ -390,9 +390,12 @@ typedef struct PanoscopeCalibration {
      */
     uint32_t is_rectified;
     /**
-     * Reserved, 0.
+     * What the calibration states of its own error, 0 when it states nothing: four bytes from the lowest on, each 0 or
+     * `0.001 * 2^((byte - 1) / 18)`. Standard deviations: of the offset of all disparities, px; of all lengths at one
+     * depth, percent; of each disparity beside these, px. The fourth is that depth, in m: there the offset of disparities
+     * changes no length. Since `ABI_MINOR` 5.
      */
-    uint32_t reserved;
+    uint32_t stated_error;
 } PanoscopeCalibration;
 
 /**
