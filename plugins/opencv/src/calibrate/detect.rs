@@ -11,12 +11,9 @@ use panoscope_data::calibration::Board;
 use panoscope_imaging::features::checker;
 use panoscope_node::View;
 
-use super::grid;
+use super::grid::{self, Points};
 use super::part::{self, Part};
 use crate::mats::borrowed;
-
-/// Points found: index on the board, place in px.
-pub type Points = Vec<(usize, [f32; 2])>;
 
 /// Half the window of the sub-pixel search in OpenCV's sample, px.
 const SAMPLE_WINDOW_PX: i32 = 11;

@@ -6,7 +6,7 @@ use panoscope_imaging::stereo::{RemapTable, StereoError};
 use panoscope_imaging::{Parallel, Rect, View, ViewMut};
 use panoscope_node::abi::Calibration;
 
-use super::detect::Points;
+use super::grid::Points;
 use super::solution::Pair;
 use super::solve::rectified_px;
 

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use opencv::core::Size;
 use panoscope_imaging::features::checker::CheckerGrid;
 
-use super::detect::Points;
+/// Points found: index on the board, place in px.
+pub type Points = Vec<(usize, [f32; 2])>;
 
 /// Least share of a chessboard's corners that must be seen.
 const MIN_SEEN: f64 = 0.4;

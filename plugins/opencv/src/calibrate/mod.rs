@@ -21,7 +21,8 @@ use panoscope_node::{
 };
 
 use crate::mats::{Threads, failed};
-use detect::{Detector, Points, Seen, same_order};
+use detect::{Detector, Seen, same_order};
+use grid::Points;
 use neighbours::keep_fitting;
 use part::Part;
 use solution::{Pair, Solution};

@@ -1,7 +1,7 @@
 //! Points that do not fit their neighbours: a ChArUco corner whose place was guessed from its markers may have been drawn to
 //! something else nearby.
 
-use super::detect::Points;
+use super::grid::Points;
 
 /// Distance of neighbours, squares.
 const REACH_SQUARES: f64 = 2.9;

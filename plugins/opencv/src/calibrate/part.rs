@@ -6,8 +6,7 @@
 use panoscope_imaging::stereo::StereoCameras;
 use panoscope_imaging::stereo::rotation::{apply, rotation_of};
 
-use super::detect::Points;
-use super::grid::agreed;
+use super::grid::{Points, agreed};
 use super::solution::Pair;
 use super::solve::board_pose;
 
