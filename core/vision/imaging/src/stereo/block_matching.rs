@@ -9,15 +9,12 @@
 use crate::stereo::StereoError;
 use crate::stereo::block_matching_finish::Limits;
 use crate::stereo::block_matching_kernel::{MAX_LANES, Row, match_row};
-use crate::stereo::matching::{Maps, PaddedPair, Span, Target, WinnerRow, left_right_limit, window_above};
+use crate::stereo::matcher::{Job, Matcher, Method, Window};
+use crate::stereo::matching::{Span, Target, WinnerRow, left_right_limit, window_above};
 use crate::stereo::prefilter::MAX_VALUE;
-use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, max_lanes};
-use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// Columns beyond each side of a tile that are matched with it.
 pub const TILE_MARGIN_PX: usize = 8;
-/// Smallest number of rows of a band.
-const BAND_ROWS: usize = 32;
 
 /// What block matching searches and what it rejects.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,191 +75,73 @@ impl BlockMatchingParams {
 
 /// Work memory of one band of rows.
 #[derive(Debug, Default)]
-struct Band {
+pub struct Band {
     columns: Vec<u16>,
     cost: Vec<u16>,
     winners: WinnerRow,
     texture_columns: Vec<u16>,
 }
 
-/// Block matcher with its work memory. Allocates only for larger views than before.
-#[derive(Debug)]
-pub struct BlockMatcher {
-    params: BlockMatchingParams,
-    pair: PaddedPair,
-    bands: Vec<Band>,
-    tiles: Vec<TileWork<Band>>,
-    avx2: bool,
-}
+/// Block matcher.
+pub type BlockMatcher = Matcher<BlockMatchingParams>;
 
-impl BlockMatcher {
-    /// A matcher with the given parameters.
-    ///
-    /// # Errors
-    /// [`StereoError::Parameter`] when one is out of range.
-    pub fn new(params: BlockMatchingParams) -> Result<Self, StereoError> {
-        params.validate()?;
-        Ok(Self {
-            params,
-            pair: PaddedPair::default(),
-            bands: Vec::new(),
-            tiles: Vec::new(),
-            avx2: Simd::detect().avx2(),
-        })
+impl Method for BlockMatchingParams {
+    type Band = Band;
+
+    const BAND_ROWS: usize = 32;
+    const WARM_UP_ROWS: usize = 0;
+    const TILE_MARGIN_PX: usize = TILE_MARGIN_PX;
+
+    fn check(&self) -> Result<(), StereoError> {
+        self.validate()
     }
 
-    /// Takes the portable path even where AVX2 exists (tests compare the two).
-    pub fn force_portable(&mut self) {
-        self.avx2 = false;
+    fn window(&self) -> Window {
+        let &Self { min_disparity_px, search_px, block_px, prefilter_cap, .. } = self;
+        Window { min_disparity_px, search_px, block_px, prefilter_cap }
     }
 
-    /// The parameters in use.
-    pub fn params(&self) -> &BlockMatchingParams {
-        &self.params
+    fn over(&self, first_px: i32, search_px: usize) -> Self {
+        Self { min_disparity_px: first_px, search_px, ..self.clone() }
     }
 
-    /// Changes the parameters; memory is kept.
-    ///
-    /// # Errors
-    /// [`StereoError::Parameter`] when one is out of range; the old ones stay.
-    pub fn set_params(&mut self, params: BlockMatchingParams) -> Result<(), StereoError> {
-        params.validate()?;
-        self.params = params;
-        Ok(())
-    }
-
-    /// Matches the pixels of `roi` of a rectified gray pair.
-    ///
-    /// `disparity` receives px of the left view, NaN where unmatched or outside `roi`.
-    /// `disparity_right`, when asked for, receives each right pixel's best match among the left pixels
-    /// of `roi`, unchecked, as positive px (`x_left = x_right + disparity`), NaN where there was none.
-    ///
-    /// # Errors
-    /// When sizes or channel counts do not agree, or the view is wider than 65,000 px.
-    pub fn compute(
-        &mut self,
-        left: View<'_, u8>,
-        right: View<'_, u8>,
-        roi: Rect,
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-        disparity_right: Option<ViewMut<'_, f32>>,
-    ) -> Result<(), StereoError> {
-        let mut maps = Maps { left: disparity, right: disparity_right };
-        maps.check(left, right)?;
-        let roi = roi.clamped(left.width, left.height);
-        let Some(span) =
-            Span::new(roi, left.width, self.params.min_disparity_px, self.params.search_px, self.params.block_px / 2)
-        else {
-            maps.clear_outside(0..0);
-            return Ok(());
-        };
-        // Rows of the region are written whole as they are matched.
-        maps.clear_outside(roi.y..roi.y + roi.height);
-        let rows = roi.y.saturating_sub(span.radius)..(roi.y + roi.height + span.radius).min(left.height);
-        self.pair.fill([left, right], &span, rows, self.params.prefilter_cap, self.avx2, pool);
-        let job = Job { params: &self.params, pair: &self.pair, avx2: self.avx2, span };
-        maps.fill_bands(
-            &mut self.bands,
-            roi,
-            (BAND_ROWS, 0),
-            pool,
-            |band, first| job.prepare(band, first),
-            |band, y, target| {
-                if let Some(target) = target {
-                    job.row(band, y, target);
-                }
-            },
-        );
-        Ok(())
-    }
-
-    /// Matches each of `tiles` of a rectified gray pair over its own range, in place of the range of the parameters. Areas of tiles lie inside the
-    /// view and do not overlap; pixels outside them are NaN. Left and right are compared inside a tile only: see [`project_right`].
-    ///
-    /// # Errors
-    /// As [`BlockMatcher::compute`].
-    ///
-    /// [`project_right`]: crate::stereo::project_right
-    pub fn compute_tiles(
-        &mut self,
-        left: View<'_, u8>,
-        right: View<'_, u8>,
-        tiles: &[Tile],
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-    ) -> Result<(), StereoError> {
-        let maps = Maps { left: disparity, right: None };
-        maps.check(left, right)?;
-        let (width, height, radius) = (left.width, left.height, self.params.block_px / 2);
-        let lanes = max_lanes(tiles);
-        self.pair.fill_all([left, right], lanes, radius, self.params.prefilter_cap, self.avx2, pool);
-        make_room(&mut self.tiles, tiles.len(), width);
-        let (out, work) = (TileMap::new(maps.left, pool), SharedMut::new(&mut self.tiles));
-        let (params, pair, avx2) = (&self.params, &self.pair, self.avx2);
-        pool.run(tiles.len(), &|index| {
-            let tile = &tiles[index];
-            let area = tile.area.clamped(width, height);
-            // Beyond its sides a tile's pixels compete for the same right ones.
-            let roi = tile.widened(TILE_MARGIN_PX, width).clamped(width, height);
-            let Some(span) = Span::new(roi, width, tile.first_px, tile.search_px, radius) else { return };
-            // SAFETY: `Parallel::run` calls each index once, and the memory of a tile belongs to its index.
-            let TileWork { band, line } = unsafe { &mut work.part(index, 1)[0] };
-            let job = Job { params, pair, avx2, span };
-            job.prepare(band, area.y);
-            for y in area.y..area.y + area.height {
-                job.row(band, y, Target { left: line, right: None });
-                // SAFETY: areas of tiles do not overlap.
-                unsafe { out.put(area, y, line) };
-            }
-        });
-        Ok(())
-    }
-}
-
-/// What every row of one call shares.
-struct Job<'a> {
-    params: &'a BlockMatchingParams,
-    pair: &'a PaddedPair,
-    avx2: bool,
-    span: Span,
-}
-
-impl Job<'_> {
     /// Sums of the window above the first row, so that every row is one step down.
-    fn prepare(&self, band: &mut Band, first: usize) {
-        let Span { count, lanes, radius, .. } = self.span;
+    fn prepare(job: &Job<'_, Self>, band: &mut Band, first: usize) {
+        let Span { count, lanes, radius, .. } = job.span;
         let steps = count + 2 * radius;
         band.columns.clear();
         band.columns.resize((steps + 1) * lanes, 0);
         band.cost.resize(count * lanes, 0);
-        band.winners.resize(&self.span);
-        self.pair.add_window_above(&self.span, first, self.avx2, &mut band.columns);
+        band.winners.resize(&job.span);
+        job.pair.add_window_above(&job.span, first, job.avx2, &mut band.columns);
         band.texture_columns.clear();
         band.texture_columns.resize(steps, 0);
-        for y in window_above(&self.span, first) {
-            for (sum, value) in band.texture_columns.iter_mut().zip(self.pair.rows(&self.span, y).0) {
-                *sum += u16::from(value.abs_diff(self.params.prefilter_cap));
+        for y in window_above(&job.span, first) {
+            for (sum, value) in band.texture_columns.iter_mut().zip(job.pair.rows(&job.span, y).0) {
+                *sum += u16::from(value.abs_diff(job.params.prefilter_cap));
             }
         }
     }
 
-    fn row(&self, band: &mut Band, y: usize, target: Target<'_>) {
-        let radius = self.span.radius;
-        let (new_left, new_right) = self.pair.rows(&self.span, y as isize + radius as isize);
-        let (old_left, old_right) = self.pair.rows(&self.span, y as isize - radius as isize - 1);
-        let outside = self.pair.outside(&self.span);
-        let row = band.winners.row(&self.span, outside, &mut band.cost, self.params.uniqueness_percent);
+    fn step(job: &Job<'_, Self>, band: &mut Band, y: usize, target: Option<Target<'_>>) {
+        let radius = job.span.radius;
+        let (new_left, new_right) = job.pair.rows(&job.span, y as isize + radius as isize);
+        let (old_left, old_right) = job.pair.rows(&job.span, y as isize - radius as isize - 1);
+        let outside = job.pair.outside(&job.span);
+        let row = band.winners.row(&job.span, outside, &mut band.cost, job.params.uniqueness_percent);
         let columns = &mut band.columns;
-        match_row(Row { radius, new_left, new_right, old_left, old_right, columns, ..row }, self.avx2);
-        self.texture(band, new_left, old_left);
+        match_row(Row { radius, new_left, new_right, old_left, old_right, columns, ..row }, job.avx2);
+        job.texture(band, new_left, old_left);
         let limits = Limits {
-            texture_at_least: self.params.texture_threshold.min(u32::from(u16::MAX)) as u16,
-            left_right_at_most: left_right_limit(self.params.left_right_px),
+            texture_at_least: job.params.texture_threshold.min(u32::from(u16::MAX)) as u16,
+            left_right_at_most: left_right_limit(job.params.left_right_px),
         };
-        band.winners.write(&self.span, outside, &band.cost, &limits, self.avx2, target);
+        let Some(target) = target else { return };
+        band.winners.write(&job.span, outside, &band.cost, &limits, job.avx2, target);
     }
+}
 
+impl Job<'_, BlockMatchingParams> {
     /// Moves the texture sums down one row and along it.
     fn texture(&self, band: &mut Band, new_left: &[u8], old_left: &[u8]) {
         let cap = self.params.prefilter_cap;

@@ -126,14 +126,14 @@ impl Maps<'_> {
 }
 
 /// One row of the maps.
-pub(super) struct Target<'a> {
+pub struct Target<'a> {
     pub left: &'a mut [f32],
     pub right: Option<&'a mut [f32]>,
 }
 
 /// A pair of views as the kernels read it: prefiltered and padded.
 #[derive(Debug, Default)]
-pub(super) struct PaddedPair {
+pub struct PaddedPair {
     left: PaddedPlane,
     right: PaddedPlane,
     /// 255 at padding, 0 at pixels of the right view.

@@ -24,6 +24,7 @@ mod kept_regions;
 pub mod length;
 pub mod lens;
 mod lit_pair;
+mod matcher;
 mod matching;
 mod offset;
 mod pair_matcher;
@@ -60,6 +61,7 @@ pub use evaluate::{BAD_PX, DepthScore, DisparityScore, MapScorer, SurfaceScore, 
 pub use filter_input::FilterInput;
 pub use formats::FloatImage;
 pub use lens::{Equidistant, Lens};
+pub use matcher::Matcher;
 pub use matching::Span;
 pub use pair_matcher::{PairMatcher, PairParams, StereoKernel};
 pub use rectify::{Rectification, RectifiedCamera, RectifyParams};

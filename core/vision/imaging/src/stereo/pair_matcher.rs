@@ -4,15 +4,16 @@ use super::border_strip::BorderStrip;
 use super::lit_pair::LitPair;
 use super::matching::again;
 use super::search::{Search, SearchParams};
-use super::tile::{Tile, project_right};
-use super::{BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams};
+use super::tile::Tile;
 use super::{SharedField, SpeckleFilter, StereoError};
 use crate::lit::LitPart;
 use crate::{Parallel, Rect, Report, View, ViewMut};
 
 /// A kernel that matches a rectified gray pair over ranges that it is given.
 pub trait StereoKernel {
-    /// Matches `roi` over `search_px` disparities from `first_px` on. Maps as in [`BlockMatcher::compute`].
+    /// Matches `roi` over `search_px` disparities from `first_px` on. Maps as in [`Matcher::compute`].
+    ///
+    /// [`Matcher::compute`]: super::Matcher::compute
     ///
     /// # Errors
     /// Sizes do not agree, or the range is out of bounds.
@@ -26,8 +27,11 @@ pub trait StereoKernel {
         disparity_right: Option<ViewMut<'_, f32>>,
     ) -> Result<(), StereoError>;
 
-    /// Matches each tile over its own range. The left map as in [`BlockMatcher::compute_tiles`], the right one by [`project_right`], which drops left
+    /// Matches each tile over its own range. The left map as in [`Matcher::compute_tiles`], the right one by [`project_right`], which drops left
     /// pixels that differ from it by more than `left_right_px`.
+    ///
+    /// [`Matcher::compute_tiles`]: super::Matcher::compute_tiles
+    /// [`project_right`]: super::project_right
     ///
     /// # Errors
     /// Sizes do not agree.
@@ -40,64 +44,6 @@ pub trait StereoKernel {
         disparity: ViewMut<'_, f32>,
         disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError>;
-}
-
-impl StereoKernel for BlockMatcher {
-    fn match_roi(
-        &mut self,
-        (first_px, search_px): (i32, usize),
-        views: [View<'_, u8>; 2],
-        roi: Rect,
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-        disparity_right: Option<ViewMut<'_, f32>>,
-    ) -> Result<(), StereoError> {
-        self.set_params(BlockMatchingParams { min_disparity_px: first_px, search_px, ..self.params().clone() })?;
-        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
-    }
-
-    fn match_tiles(
-        &mut self,
-        tiles: &[Tile],
-        views: [View<'_, u8>; 2],
-        left_right_px: Option<f32>,
-        pool: &dyn Parallel,
-        mut disparity: ViewMut<'_, f32>,
-        mut disparity_right: ViewMut<'_, f32>,
-    ) -> Result<(), StereoError> {
-        self.compute_tiles(views[0], views[1], tiles, pool, again(&mut disparity))?;
-        project_right(&mut disparity, &mut disparity_right, left_right_px, pool);
-        Ok(())
-    }
-}
-
-impl StereoKernel for SemiGlobalMatcher {
-    fn match_roi(
-        &mut self,
-        (first_px, search_px): (i32, usize),
-        views: [View<'_, u8>; 2],
-        roi: Rect,
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-        disparity_right: Option<ViewMut<'_, f32>>,
-    ) -> Result<(), StereoError> {
-        self.set_params(SemiGlobalParams { min_disparity_px: first_px, search_px, ..self.params().clone() })?;
-        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
-    }
-
-    fn match_tiles(
-        &mut self,
-        tiles: &[Tile],
-        views: [View<'_, u8>; 2],
-        left_right_px: Option<f32>,
-        pool: &dyn Parallel,
-        mut disparity: ViewMut<'_, f32>,
-        mut disparity_right: ViewMut<'_, f32>,
-    ) -> Result<(), StereoError> {
-        self.compute_tiles(views[0], views[1], tiles, pool, again(&mut disparity))?;
-        project_right(&mut disparity, &mut disparity_right, left_right_px, pool);
-        Ok(())
-    }
 }
 
 /// What a [`PairMatcher`] searches and drops.

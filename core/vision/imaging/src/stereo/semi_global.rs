@@ -11,10 +11,9 @@
 use crate::stereo::StereoError;
 use crate::stereo::block_matching_finish::Limits;
 use crate::stereo::block_matching_kernel::pick_row;
-use crate::stereo::matching::{Maps, PaddedPair, Span, Target, WinnerRow, left_right_limit};
+use crate::stereo::matcher::{Job, Matcher, Method, Window};
+use crate::stereo::matching::{Span, Target, WinnerRow, left_right_limit};
 use crate::stereo::semi_global_kernel::{CostRow, MAX_LANES, Paths, Penalties, RIM, aggregate, cost_row, slot_bytes};
-use crate::stereo::tile::{Tile, TileMap, TileWork, make_room, max_lanes};
-use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// What semi-global matching searches, what it charges, and what it rejects.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,13 +92,9 @@ impl SemiGlobalParams {
     }
 }
 
-/// Rows that a band processes before its output starts.
-const WARM_UP_ROWS: usize = 24;
-/// Least rows of a band: bands repeat their warm-up, so they must not be short.
-const BAND_ROWS: usize = 96;
-
+/// Work memory of one band of rows.
 #[derive(Debug, Default)]
-struct Band {
+pub struct Band {
     columns: Vec<u16>,
     cost: Vec<u8>,
     /// Path costs of the row above and of this row.
@@ -111,161 +106,38 @@ struct Band {
     winners: WinnerRow,
 }
 
-/// Semi-global matcher with its work memory. Allocates only for larger views than before.
-#[derive(Debug)]
-pub struct SemiGlobalMatcher {
-    params: SemiGlobalParams,
-    pair: PaddedPair,
-    bands: Vec<Band>,
-    tiles: Vec<TileWork<Band>>,
-    avx2: bool,
-}
+/// Semi-global matcher.
+pub type SemiGlobalMatcher = Matcher<SemiGlobalParams>;
 
-impl SemiGlobalMatcher {
-    /// A matcher with the given parameters.
-    ///
-    /// # Errors
-    /// [`StereoError::Parameter`] when one is out of range.
-    pub fn new(params: SemiGlobalParams) -> Result<Self, StereoError> {
-        params.validate()?;
-        Ok(Self {
-            params,
-            pair: PaddedPair::default(),
-            bands: Vec::new(),
-            tiles: Vec::new(),
-            avx2: Simd::detect().avx2(),
-        })
+impl Method for SemiGlobalParams {
+    type Band = Band;
+
+    /// Bands repeat their warm-up, so they must not be short.
+    const BAND_ROWS: usize = 96;
+    /// Paths that come down have converged after these rows.
+    const WARM_UP_ROWS: usize = 24;
+    const TILE_MARGIN_PX: usize = 24;
+
+    fn check(&self) -> Result<(), StereoError> {
+        self.validate()
     }
 
-    /// Takes the portable path even where AVX2 exists (tests compare the two).
-    pub fn force_portable(&mut self) {
-        self.avx2 = false;
+    fn window(&self) -> Window {
+        let &Self { min_disparity_px, search_px, block_px, prefilter_cap, .. } = self;
+        Window { min_disparity_px, search_px, block_px, prefilter_cap }
     }
 
-    /// The parameters in use.
-    pub fn params(&self) -> &SemiGlobalParams {
-        &self.params
+    fn over(&self, first_px: i32, search_px: usize) -> Self {
+        Self { min_disparity_px: first_px, search_px, ..self.clone() }
     }
 
-    /// Changes the parameters; memory is kept.
-    ///
-    /// # Errors
-    /// [`StereoError::Parameter`] when one is out of range; the old ones stay.
-    pub fn set_params(&mut self, params: SemiGlobalParams) -> Result<(), StereoError> {
-        params.validate()?;
-        self.params = params;
-        Ok(())
-    }
-
-    /// Matches the pixels of `roi` of a rectified gray pair; outputs as in
-    /// [`crate::stereo::BlockMatcher::compute`].
-    ///
-    /// # Errors
-    /// When sizes or channel counts do not agree, or the view is wider than 65,000 px.
-    pub fn compute(
-        &mut self,
-        left: View<'_, u8>,
-        right: View<'_, u8>,
-        roi: Rect,
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-        disparity_right: Option<ViewMut<'_, f32>>,
-    ) -> Result<(), StereoError> {
-        let mut maps = Maps { left: disparity, right: disparity_right };
-        maps.check(left, right)?;
-        let roi = roi.clamped(left.width, left.height);
-        let params = &self.params;
-        let Some(span) = Span::new(roi, left.width, params.min_disparity_px, params.search_px, params.block_px / 2)
-        else {
-            maps.clear_outside(0..0);
-            return Ok(());
-        };
-        // Rows of the region are written whole as they are matched.
-        maps.clear_outside(roi.y..roi.y + roi.height);
-        let above = span.radius + WARM_UP_ROWS;
-        let rows = roi.y.saturating_sub(above)..(roi.y + roi.height + span.radius).min(left.height);
-        self.pair.fill([left, right], &span, rows, params.prefilter_cap, self.avx2, pool);
-        let offsets: &[isize] = if params.diagonals { &[0, -1, 1] } else { &[0] };
-        let job = Job { params, pair: &self.pair, offsets, avx2: self.avx2, span };
-        maps.fill_bands(
-            &mut self.bands,
-            roi,
-            (BAND_ROWS, WARM_UP_ROWS),
-            pool,
-            |band, first| job.prepare(band, first),
-            |band, y, target| {
-                job.aggregate(band, y);
-                if let Some(target) = target {
-                    job.finish(band, target);
-                }
-            },
-        );
-        Ok(())
-    }
-
-    /// Matches each of `tiles` over its own range; as [`crate::stereo::BlockMatcher::compute_tiles`].
-    ///
-    /// # Errors
-    /// As [`SemiGlobalMatcher::compute`].
-    pub fn compute_tiles(
-        &mut self,
-        left: View<'_, u8>,
-        right: View<'_, u8>,
-        tiles: &[Tile],
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-    ) -> Result<(), StereoError> {
-        let maps = Maps { left: disparity, right: None };
-        maps.check(left, right)?;
-        let (width, height, radius) = (left.width, left.height, self.params.block_px / 2);
-        let lanes = max_lanes(tiles);
-        self.pair.fill_all([left, right], lanes, radius, self.params.prefilter_cap, self.avx2, pool);
-        make_room(&mut self.tiles, tiles.len(), width);
-        let (out, work) = (TileMap::new(maps.left, pool), SharedMut::new(&mut self.tiles));
-        let (params, pair, avx2) = (&self.params, &self.pair, self.avx2);
-        let offsets: &[isize] = if params.diagonals { &[0, -1, 1] } else { &[0] };
-        pool.run(tiles.len(), &|index| {
-            let tile = &tiles[index];
-            let area = tile.area.clamped(width, height);
-            // Paths begin this far outside, so that they have converged where the area begins.
-            let roi = tile.widened(WARM_UP_ROWS, width).clamped(width, height);
-            let Some(span) = Span::new(roi, width, tile.first_px, tile.search_px, radius) else { return };
-            // SAFETY: `Parallel::run` calls each index once, and the memory of a tile belongs to its index.
-            let TileWork { band, line } = unsafe { &mut work.part(index, 1)[0] };
-            let job = Job { params, pair, offsets, avx2, span };
-            let start = area.y.saturating_sub(WARM_UP_ROWS);
-            job.prepare(band, start);
-            for y in start..area.y + area.height {
-                job.aggregate(band, y);
-                if y < area.y {
-                    continue;
-                }
-                job.finish(band, Target { left: line, right: None });
-                // SAFETY: areas of tiles do not overlap.
-                unsafe { out.put(area, y, line) };
-            }
-        });
-        Ok(())
-    }
-}
-
-/// What every row of one call shares.
-struct Job<'a> {
-    params: &'a SemiGlobalParams,
-    pair: &'a PaddedPair,
-    offsets: &'a [isize],
-    avx2: bool,
-    span: Span,
-}
-
-impl Job<'_> {
-    fn prepare(&self, band: &mut Band, first: usize) {
-        let Span { count, lanes, radius, .. } = self.span;
+    fn prepare(job: &Job<'_, Self>, band: &mut Band, first: usize) {
+        let Span { count, lanes, radius, .. } = job.span;
         band.columns.clear();
         band.columns.resize((count + 2 * radius + 1) * lanes, 0);
         band.cost.resize(count * lanes, 0);
         band.sums.resize(count * lanes, 0);
-        let slots = self.offsets.len() * (count + 2);
+        let slots = job.offsets().len() * (count + 2);
         let slot = slot_bytes(lanes);
         for plane in [&mut band.before, &mut band.after] {
             plane.clear();
@@ -279,8 +151,22 @@ impl Job<'_> {
             plane.clear();
             plane.resize(slots, 0);
         }
-        band.winners.resize(&self.span);
-        self.pair.add_window_above(&self.span, first, self.avx2, &mut band.columns);
+        band.winners.resize(&job.span);
+        job.pair.add_window_above(&job.span, first, job.avx2, &mut band.columns);
+    }
+
+    fn step(job: &Job<'_, Self>, band: &mut Band, y: usize, target: Option<Target<'_>>) {
+        job.aggregate(band, y);
+        if let Some(target) = target {
+            job.finish(band, target);
+        }
+    }
+}
+
+impl Job<'_, SemiGlobalParams> {
+    /// Columns by which the paths that come down move in each row.
+    fn offsets(&self) -> &'static [isize] {
+        if self.params.diagonals { &[0, -1, 1] } else { &[0] }
     }
 
     /// Costs of row `y` and their sums over paths.
@@ -308,7 +194,7 @@ impl Job<'_> {
             count,
             penalties,
             cost: &band.cost,
-            offsets: self.offsets,
+            offsets: self.offsets(),
             before: &band.before,
             after: &mut band.after,
             min_before: &band.min_before,
