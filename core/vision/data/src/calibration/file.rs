@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use panoscope_abi::Calibration;
+use panoscope_base::files;
 use panoscope_imaging::stereo::StereoError;
 use thiserror::Error;
 
@@ -185,8 +186,5 @@ pub fn write(path: &Path, calibration: &Calibration) -> Result<(), FileError> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         fs::create_dir_all(folder).map_err(fail)?;
     }
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    fs::write(&part, opencv::text_of(calibration)).map_err(fail)?;
-    fs::rename(&part, path).map_err(fail)
+    files::replace(path, opencv::text_of(calibration).as_bytes()).map_err(fail)
 }
