@@ -29,7 +29,7 @@ use panoscope_host::audit::LockFacts;
 use panoscope_host::loader::verify::Seal;
 use panoscope_host::loader::{self as loader, Loader};
 
-use super::link::{self, Block, Command, CounterState, Message, Picture, Region, RunState, SLOTS};
+use super::link::{self, Block, Command, CounterState, Message, Picture, Region, RigState, RunState, SLOTS};
 use super::page::Page;
 use super::runner::{Local, Runner};
 use super::{Opened, Options, Ready, Refusal, open};
@@ -380,7 +380,7 @@ impl Worker {
             made_ns: link::monotonic_ns(),
             pixels,
             cloud,
-            rig: Picture::rig_of(&packet.content),
+            rig: RigState::of(&packet.content),
         })));
         true
     }

@@ -312,6 +312,19 @@ pub struct NodeWindow {
     pub queues: Vec<QueueWindow>,
 }
 
+impl NodeWindow {
+    /// Replaces numbers that are not finite, which JSON cannot represent; metrics of that kind are left out.
+    pub fn finite(mut self) -> Self {
+        for number in [&mut self.fps, &mut self.p50_ms, &mut self.p99_ms] {
+            *number = if number.is_finite() { *number } else { 0.0 };
+        }
+        self.age_p50_ms = self.age_p50_ms.filter(|age| age.is_finite());
+        self.age_p99_ms = self.age_p99_ms.filter(|age| age.is_finite());
+        self.metrics.retain(|(_, value)| value.is_finite());
+        self
+    }
+}
+
 /// The queue of one edge. Nodes that run inline after their producer have no queue.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QueueWindow {

@@ -13,6 +13,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use panoscope_abi::Tick;
+use panoscope_editor_model::content::Content;
 use panoscope_editor_model::picture::RenderedPacket;
 use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::surface::Cloud;
@@ -20,7 +21,7 @@ use panoscope_editor_model::texts::{Phrase, phrase};
 use panoscope_engine::clock;
 use panoscope_engine::sync::lock;
 
-use crate::link::{self, Block, Command, Message, Picture, Region};
+use crate::link::{self, Block, Command, Message, Picture, Region, RigState};
 use crate::worker;
 
 /// Signals that a crash report goes with.
@@ -374,7 +375,7 @@ impl Reader {
             seq: picture.seq,
             tick: Tick { source: picture.source, seq: picture.seq, ..Tick::default() },
             arrived_ns,
-            content: picture.content(),
+            content: picture.rig.map_or(Content::Nothing, RigState::content),
             cloud,
             ..RenderedPacket::default()
         })

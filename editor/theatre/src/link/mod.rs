@@ -129,38 +129,19 @@ pub(crate) fn text_hash(text: &str) -> u64 {
 /// The counters that the theatre shows.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct CounterState {
-    nodes: BTreeMap<String, NodeState>,
+    nodes: BTreeMap<String, NodeWindow>,
     faults: Vec<Fault>,
-}
-
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct NodeState {
-    fps: f64,
-    faults: u64,
-    restarts: u64,
-    metrics: Vec<(String, f64)>,
 }
 
 impl CounterState {
     pub fn of(counters: &Counters) -> Self {
-        let node = |(id, node): (&String, &NodeWindow)| {
-            // JSON has no NaN.
-            let finite = node.metrics.iter().filter(|(_, value)| value.is_finite());
-            let fps = if node.fps.is_finite() { node.fps } else { 0.0 };
-            let state =
-                NodeState { fps, faults: node.faults, restarts: node.restarts, metrics: finite.cloned().collect() };
-            (id.clone(), state)
-        };
-        Self { nodes: counters.nodes.iter().map(node).collect(), faults: counters.faults.values().cloned().collect() }
+        let nodes = counters.nodes.iter().map(|(id, node)| (id.clone(), node.clone().finite())).collect();
+        Self { nodes, faults: counters.faults.values().cloned().collect() }
     }
 
     pub fn counters(self) -> Counters {
-        let node = |(id, node): (String, NodeState)| {
-            let NodeState { fps, faults, restarts, metrics } = node;
-            (id, NodeWindow { fps, faults, restarts, metrics, ..NodeWindow::default() })
-        };
         let faults = self.faults.into_iter().map(|fault| (fault.node.clone(), fault)).collect();
-        Counters { nodes: self.nodes.into_iter().map(node).collect(), faults, ..Counters::default() }
+        Counters { nodes: self.nodes, faults, ..Counters::default() }
     }
 }
 
@@ -190,22 +171,31 @@ pub(crate) struct Picture {
     pub pixels: Option<Block>,
     /// x, y, z, mm, and confidence as `f32`.
     pub cloud: Option<Block>,
-    /// Focal length px, baseline mm, reprojection error px, what the calibration states of its error (as in the packet); `None` for a number that is not known.
-    pub rig: Option<[Option<f64>; 4]>,
+    /// What the cameras are like, of a packet of a calibration.
+    pub rig: Option<RigState>,
 }
 
-impl Picture {
-    pub fn rig_of(content: &Content) -> Option<[Option<f64>; 4]> {
-        let Content::Rig(rig) = content else { return None };
-        let numbers = [rig.focal_px, rig.baseline_mm, rig.rms_px, rig.stated_error.into()];
-        Some(numbers.map(|number| Some(number).filter(|n| n.is_finite())))
+/// A [`Rig`]; `None` for a number that is not known, as JSON has no NaN.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct RigState {
+    focal_px: Option<f64>,
+    baseline_mm: Option<f64>,
+    rms_px: Option<f64>,
+    stated_error: u32,
+}
+
+impl RigState {
+    pub fn of(content: &Content) -> Option<Self> {
+        let &Content::Rig(Rig { focal_px, baseline_mm, rms_px, stated_error }) = content else { return None };
+        let [focal_px, baseline_mm, rms_px] =
+            [focal_px, baseline_mm, rms_px].map(|number| Some(number).filter(|n| n.is_finite()));
+        Some(Self { focal_px, baseline_mm, rms_px, stated_error })
     }
 
-    pub fn content(&self) -> Content {
-        let Some(numbers) = self.rig else { return Content::Nothing };
-        let [focal_px, baseline_mm, rms_px, stated] = numbers.map(|number| number.unwrap_or(f64::NAN));
-        // Of a number that no packet has, what is nearest.
-        Content::Rig(Rig { focal_px, baseline_mm, rms_px, stated_error: stated as u32 })
+    pub fn content(self) -> Content {
+        let [focal_px, baseline_mm, rms_px] =
+            [self.focal_px, self.baseline_mm, self.rms_px].map(|number| number.unwrap_or(f64::NAN));
+        Content::Rig(Rig { focal_px, baseline_mm, rms_px, stated_error: self.stated_error })
     }
 }
 
@@ -303,13 +293,13 @@ mod tests {
             made_ns: 0,
             pixels: None,
             cloud: None,
-            rig: Picture::rig_of(&Content::Rig(rig)),
+            rig: RigState::of(&Content::Rig(rig)),
         };
         let mut bytes = Vec::new();
         send(&mut bytes, &picture).expect("memory takes it");
         let there: Picture = receive(&mut bytes.as_slice()).expect("it is read").expect("it is there");
         assert!(
-            matches!(there.content(), Content::Rig(r) if r.focal_px == 700.0 && r.rms_px.is_nan() && r.stated_error == 77)
+            matches!(there.rig.map(RigState::content), Some(Content::Rig(r)) if r.focal_px == 700.0 && r.rms_px.is_nan() && r.stated_error == 77)
         );
     }
 }

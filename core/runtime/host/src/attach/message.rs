@@ -136,7 +136,7 @@ pub enum BadMessage {
 
 fn json<T: Serialize>(value: &T) -> Vec<u8> {
     let mut bytes = vec![JSON];
-    // What is sent here has text keys and finite numbers, see `finite`.
+    // What is sent here has text keys and finite numbers, see `NodeWindow::finite`.
     if serde_json::to_writer(&mut bytes, value).is_err() {
         bytes.truncate(1);
     }
@@ -214,19 +214,6 @@ fn checked(message: Message) -> Result<Message, BadMessage> {
     if edges && nodes && views && pins { Ok(message) } else { Err(BadMessage::Malformed) }
 }
 
-/// Replaces infinite counters, which JSON cannot represent.
-pub fn finite(mut nodes: BTreeMap<String, NodeWindow>) -> BTreeMap<String, NodeWindow> {
-    for node in nodes.values_mut() {
-        for number in [&mut node.fps, &mut node.p50_ms, &mut node.p99_ms] {
-            *number = if number.is_finite() { *number } else { 0.0 };
-        }
-        node.age_p50_ms = node.age_p50_ms.filter(|age| age.is_finite());
-        node.age_p99_ms = node.age_p99_ms.filter(|age| age.is_finite());
-        node.metrics.retain(|(_, value)| value.is_finite());
-    }
-    nodes
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -235,8 +222,10 @@ mod tests {
     fn commands_and_messages_arrive_as_they_were_sent() {
         let command = Command::Run { id: 1, base: "a".to_owned(), text: "b".to_owned() };
         assert_eq!(read_command(&write_command(&command)).expect("a command"), command);
-        let nodes = BTreeMap::from([("a".to_owned(), NodeWindow { fps: f64::NAN, count: 3, ..NodeWindow::default() })]);
-        let nodes = finite(nodes);
+        let nodes = BTreeMap::from([(
+            "a".to_owned(),
+            NodeWindow { fps: f64::NAN, count: 3, ..NodeWindow::default() }.finite(),
+        )]);
         match read_incoming(&write_message(&Message::Counters(nodes.clone()))).expect("a message") {
             Incoming::Message(Message::Counters(arrived)) => assert_eq!(arrived, nodes),
             _ => panic!("counters"),

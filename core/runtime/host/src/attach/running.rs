@@ -314,7 +314,8 @@ impl Attachable {
             return;
         }
         known.read_at = Some(now);
-        let nodes = message::finite(engine.window(&mut known.window));
+        let nodes = engine.window(&mut known.window);
+        let nodes: BTreeMap<_, _> = nodes.into_iter().map(|(id, node)| (id, node.finite())).collect();
         let of = |node: &String| Some((node.clone(), engine.param_values(node)?));
         let values: BTreeMap<_, _> = nodes.keys().filter_map(of).collect();
         let changed = (nodes != known.nodes, engine.faults_since(&mut known.faults), values != known.values);
