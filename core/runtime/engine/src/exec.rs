@@ -8,9 +8,9 @@ use panoscope_abi::{self as abi, PortRange};
 
 use crate::decide::Ages;
 use crate::instance::Instance;
-use crate::memory::FrameRef;
 use crate::outputs::OutputRule;
 use crate::params::Snapshot;
+use crate::rate::Rate;
 use crate::stats::Histogram;
 
 /// An output, for the checks after a call.
@@ -44,8 +44,6 @@ pub(crate) struct Exec {
     pub params_version: u64,
     /// The node's configuration epoch that this copy of its settings belongs to.
     pub config_epoch: u64,
-    /// Capture time of the last tick that was run, `i64::MIN` for none.
-    pub last_fired_ns: i64,
     pub time: Arc<Histogram>,
     pub max_ns: u64,
     first: Port,
@@ -54,13 +52,11 @@ pub(crate) struct Exec {
     pub bypassed: bool,
     /// Whether one of the counts of faults below is not 0.
     pub troubled: bool,
-    /// Whether there is a period or a budget.
+    /// Whether there is a rate or a budget.
     pub limited: bool,
     // A successful call of a node with one output and no limits touches nothing below.
     more: Box<[Port]>,
-    pub period_ns: i64,
-    /// With a period: inputs that were not empty in a tick since the last one that was run, one bit each.
-    pub seen_inputs: u64,
+    pub rate: Rate,
     pub budget_ns: u64,
     pub ranges: Vec<PortRange>,
     pub failure: String,
@@ -105,18 +101,6 @@ const _: () = assert!(std::mem::offset_of!(Exec, more) <= 128);
 unsafe impl Send for Exec {}
 
 impl Exec {
-    /// Whether the period has passed at a tick. A tick without an input that has come since the last call waits for one with it, for another
-    /// period at most: inputs at two rates might else never come together.
-    #[cold]
-    pub fn is_in_rate(&mut self, tick: &abi::Tick, inputs: &[FrameRef]) -> bool {
-        let present = inputs.iter().zip(0..64).fold(0, |bits, (input, at)| bits | u64::from(!input.is_empty()) << at);
-        self.seen_inputs |= present;
-        let wait_ns = if present == self.seen_inputs { self.period_ns } else { self.period_ns.saturating_mul(2) };
-        // After a step back in capture time a node runs at once instead of waiting for the old time.
-        let since_ns = tick.capture_ns.saturating_sub(self.last_fired_ns);
-        self.last_fired_ns == i64::MIN || !(0..wait_ns).contains(&since_ns)
-    }
-
     pub fn new(
         node_type: &'static abi::NodeType,
         rules: &[OutputRule],
@@ -133,7 +117,6 @@ impl Exec {
             params_len: snapshot.values().len(),
             params_version: snapshot.version(),
             config_epoch: 0,
-            last_fired_ns: i64::MIN,
             time,
             max_ns: 0,
             first: rules.first().map_or(first, port),
@@ -143,8 +126,7 @@ impl Exec {
             troubled: true,
             limited: false,
             more: rules.iter().skip(1).map(port).collect(),
-            period_ns: 0,
-            seen_inputs: 0,
+            rate: Rate::NONE,
             budget_ns: 0,
             ranges,
             failure: String::new(),

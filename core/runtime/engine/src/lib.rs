@@ -42,6 +42,7 @@ mod play;
 mod plugins;
 pub mod pool;
 mod preview;
+mod rate;
 mod region;
 mod report;
 mod retained;

@@ -263,6 +263,7 @@ pub(crate) fn runtime(
     let (join, ranges) = inputs(graph, catalog, node);
     let outputs_read = outputs_read(graph, node);
     let description = graph.nodes[node].node_type(catalog);
+    let rate_number = graph.nodes[..node].iter().filter(|node| node.max_rate_hz.is_some()).count() as u32;
     let node = &graph.nodes[node];
     let spec = NodeSpec {
         id: node.id.clone(),
@@ -273,6 +274,7 @@ pub(crate) fn runtime(
         on_fault: node.on_fault,
         budget_ms: node.budget_ms,
         max_rate_hz: node.max_rate_hz,
+        rate_number,
         cpu: node.cpu,
         ranges,
         outputs_read,

@@ -250,7 +250,7 @@ fn a_limited_node_takes_ticks_with_all_inputs_that_come_at_lower_rates() {
     let path = scratch("rates.jsonl");
     run("batch", &limited_reader(&path, 4), options(2, 240));
     let lines = ledger(&path);
-    assert_eq!(lines.len(), 30, "every eighth tick: {lines:?}");
+    assert_eq!(lines.len(), 40, "ten a second: {lines:?}");
     assert!(lines.iter().all(|(_, inputs)| inputs.iter().all(Option::is_some)), "{lines:?}");
     // An input that does not come holds nothing up.
     run("batch", &limited_reader(&path, 1000), options(2, 240));

@@ -286,7 +286,7 @@ fn node_schema(catalog: &Catalog, node_type: &NodeType) -> Value {
                 "description": "What the host does when the node faults."
             },
             "budget_ms": { "type": "number", "exclusiveMinimum": 0, "maximum": MAX_MS, "description": "Time it should not exceed per tick." },
-            "max_rate_hz": { "type": "number", "exclusiveMinimum": 0, "maximum": HIGHEST_HZ, "description": "It runs at most this often." },
+            "max_rate_hz": { "type": "number", "exclusiveMinimum": 0, "maximum": HIGHEST_HZ, "description": "It runs at most this often, on average." },
             "cpu": { "type": "integer", "minimum": 0, "maximum": 4095, "description": "Core its thread is pinned to; a compute node gets a thread for it." },
             "isolate": { "$ref": "#/$defs/group" },
             "on": { "type": "string", "description": "The machine of [machines] that it runs on." }

@@ -94,6 +94,11 @@ enum Due {
     Abandoned,
 }
 
+/// Which of up to 64 inputs are not empty, one bit each.
+fn present(inputs: &[FrameRef]) -> u64 {
+    inputs.iter().zip(0..64).fold(0, |bits, (input, at)| bits | u64::from(!input.is_empty()) << at)
+}
+
 /// Bytes of frames together.
 fn bytes<'f>(frames: impl Iterator<Item = &'f Frame>) -> u64 {
     frames.map(|frame| frame.len as u64).sum()
@@ -259,9 +264,9 @@ impl NodeRuntime {
             self.record_event(context, |node| Event::Values { node, tick: *tick, values: values() });
             exec.set_snapshot(snapshot);
         }
-        exec.period_ns = self.config.period_ns();
+        exec.rate.set(self.config.period_ns(), self.rate_number, !context.batch);
         exec.budget_ns = self.config.budget_ns();
-        exec.limited = exec.period_ns > 0 || exec.budget_ns != 0;
+        exec.limited = exec.rate.is_limited() || exec.budget_ns != 0;
         Ok(())
     }
 
@@ -334,7 +339,7 @@ impl NodeRuntime {
 
     #[inline]
     fn is_due(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, start_ns: u64, inputs: &[FrameRef]) -> Due {
-        if exec.limited && exec.period_ns > 0 && !exec.is_in_rate(tick, inputs) {
+        if exec.limited && exec.rate.is_limited() && !exec.rate.is_due(tick.capture_ns, present(inputs)) {
             return Due::Skip;
         }
         if exec.bypassed {
@@ -351,9 +356,8 @@ impl NodeRuntime {
                 Err(Abandoned) => return Due::Abandoned,
             }
         }
-        if !exec.source {
-            exec.last_fired_ns = tick.capture_ns;
-            exec.seen_inputs = 0;
+        if exec.limited && !exec.source {
+            exec.rate.run(tick.capture_ns);
         }
         Due::Run { start_ns }
     }

@@ -52,6 +52,8 @@ pub(crate) struct NodeRuntime {
     pub exclusive: bool,
     pub side_effects: bool,
     pub cpu: Option<u32>,
+    /// Number of nodes with a rate that came before it in the graph, see [`crate::rate`].
+    pub rate_number: u32,
     pub rules: Box<[OutputRule]>,
     /// Names of the outputs.
     pub output_names: Arc<[String]>,
@@ -88,6 +90,8 @@ pub(crate) struct NodeSpec {
     pub on_fault: OnFault,
     pub budget_ms: Option<f64>,
     pub max_rate_hz: Option<f64>,
+    /// Number of nodes with a rate that come before it in the graph, see [`crate::rate`].
+    pub rate_number: u32,
     pub cpu: Option<u32>,
     pub ranges: Vec<PortRange>,
     pub outputs_read: u64,
@@ -113,6 +117,7 @@ impl NodeRuntime {
             exclusive: declared.flags & abi::NODE_EXCLUSIVE != 0,
             side_effects: declared.flags & abi::NODE_SIDE_EFFECTS != 0,
             cpu: spec.cpu,
+            rate_number: spec.rate_number,
             output_names: rules.iter().map(|rule| rule.name.clone()).collect(),
             rules,
             exec: ExecPlace::new(exec),
