@@ -202,3 +202,25 @@ fn a_slow_node_with_a_rate_or_a_latest_input_takes_no_frame_from_a_recorder() {
         assert_eq!((report.nodes["record"].lacking, ledger(&path).len()), (0, 100), "{name}");
     }
 }
+
+/// Two nodes that each take a tick in four would together hold up one tick in four.
+#[test]
+fn limited_nodes_of_a_live_graph_take_different_ticks() {
+    let paths = ["a", "b"].map(|name| scratch(&format!("limited_{name}.jsonl")));
+    let limited = |name: &str, path: &std::path::Path| {
+        let path = path.display();
+        format!(
+            "[nodes.{name}]\ntype = \"ledger\"\ninputs = {{ images = [\"source.image\"] }}\nparams = {{ path = \"{path}\" }}\nmax_rate_hz = 15.0\n"
+        )
+    };
+    let source =
+        "[nodes.source]\ntype = \"frames\"\nparams = { width_px = 16, height_px = 16, rate_hz = 60.0 }\n".to_owned();
+    let text = source + &limited("a", &paths[0]) + &limited("b", &paths[1]);
+    for (mode, shared) in [("live", 1), ("batch", 60)] {
+        // Without waiting for capture times no tick is dropped.
+        run(mode, &text, Options { paced: false, ..options(2, 240) });
+        let [a, b] = paths.each_ref().map(|path| ledger(path).into_iter().map(|(seq, _)| seq).collect::<Vec<_>>());
+        assert!(a.len() == 60 && (59..=60).contains(&b.len()), "{mode}: {a:?} {b:?}");
+        assert_eq!(a.iter().filter(|tick| b.contains(tick)).count(), shared, "{mode}: {a:?} {b:?}");
+    }
+}
