@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use panoscope_imaging::stitch::{Drawing, DrawnView, Painter, Runs};
+use panoscope_imaging::stitch::{Drawing, DrawnView, PaintError, Painter, Runs};
 use panoscope_imaging::{Parallel, ViewMut};
 
 use crate::device::{Gpu, GpuError};
@@ -230,7 +230,12 @@ impl Warper {
 }
 
 impl Painter for Warper {
-    fn paint(&mut self, drawing: &Drawing<'_>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) -> Result<(), String> {
-        self.draw(drawing, out, pool).map_err(|e| e.to_string())
+    fn paint(
+        &mut self,
+        drawing: &Drawing<'_>,
+        out: &mut ViewMut<'_, u8>,
+        pool: &dyn Parallel,
+    ) -> Result<(), PaintError> {
+        Ok(self.draw(drawing, out, pool)?)
     }
 }

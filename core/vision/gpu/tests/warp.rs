@@ -3,7 +3,8 @@
 use crate::common::{device, difference, picture};
 use panoscope_gpu::Warper;
 use panoscope_imaging::stitch::{
-    BlendMethod, CompositeParams, Compositor, Drawing, GeometryState, IDENTITY, Lattice, Mesh, Painter, SeamMethod,
+    BlendMethod, CompositeParams, Compositor, Drawing, GeometryState, IDENTITY, Lattice, Mesh, PaintError, Painter,
+    SeamMethod,
 };
 use panoscope_imaging::{Parallel, Serial, View, ViewMut};
 
@@ -82,7 +83,7 @@ fn panoramas_are_those_of_the_processor() {
 struct Broken;
 
 impl Painter for Broken {
-    fn paint(&mut self, _: &Drawing<'_>, out: &mut ViewMut<'_, u8>, _: &dyn Parallel) -> Result<(), String> {
+    fn paint(&mut self, _: &Drawing<'_>, out: &mut ViewMut<'_, u8>, _: &dyn Parallel) -> Result<(), PaintError> {
         out.data.fill(1);
         Err("the device was lost".into())
     }

@@ -377,7 +377,7 @@ impl Compositor {
         let painter = self.painter.as_deref_mut().filter(|_| views.len() <= 2);
         if let Err(reason) = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, painter) {
             self.painter = None;
-            self.painter_fault = Some(reason);
+            self.painter_fault = Some(reason.to_string());
             let _ = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, None);
         }
         if let Some(mask) = mask_out {

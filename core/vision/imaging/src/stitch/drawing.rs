@@ -6,12 +6,21 @@ use super::segments::{NEW_ONLY, NEW_SHOWN, Segments};
 use super::warp::Span;
 use crate::{Parallel, Rect, View, ViewMut};
 
+/// Why a [`Painter`] failed: each device has its own errors.
+pub type PaintError = Box<dyn std::error::Error + Send + Sync>;
+
 /// Draws the pixels of a panorama, for instance on a GPU.
 pub trait Painter: std::fmt::Debug + Send {
     /// Draws all pixels of `out`, black outside all views.
     ///
-    /// # Errors The drawing failed. The processor then draws the whole frame.
-    fn paint(&mut self, drawing: &Drawing<'_>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) -> Result<(), String>;
+    /// # Errors
+    /// The drawing failed. The processor then draws the whole frame.
+    fn paint(
+        &mut self,
+        drawing: &Drawing<'_>,
+        out: &mut ViewMut<'_, u8>,
+        pool: &dyn Parallel,
+    ) -> Result<(), PaintError>;
 }
 
 /// The views of a panorama, and which of them each of its pixels shows.

@@ -38,7 +38,7 @@ pub mod warp;
 
 pub use coarse::map_factor;
 pub use compositor::Compositor;
-pub use drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
+pub use drawing::{Drawing, DrawnMesh, DrawnView, PaintError, Painter, Runs};
 pub use graph_cut::GridCut;
 pub use grid::{CellPoint, GridParams, GridRegistration, RegisterGrid};
 pub use mesh::{InstrumentHints, Keep, Kept, Lattice, Mesh, MeshFollower, MeshParams, MeshReport};

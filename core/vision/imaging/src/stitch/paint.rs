@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::blend::{self, Blender, Ranges};
 use super::blend_rows::{blend_zone, extend_row};
-use super::drawing::{Drawing, DrawnMesh, DrawnView, Painter, Runs};
+use super::drawing::{Drawing, DrawnMesh, DrawnView, PaintError, Painter, Runs};
 use super::exposure::{RunningGain, fixed_gain};
 use super::graph_cut::GridCut;
 use super::mesh::{Mapping, Mesh, MeshGrid};
@@ -164,7 +164,7 @@ impl Layers {
         pool: &dyn Parallel,
         out: &mut ViewMut<u8>,
         avx2: bool,
-    ) -> Result<(), String> {
+    ) -> Result<(), PaintError> {
         let second = self.steps.get(1).filter(|_| views.len() > 1);
         let second = second.map(|step| (&step.segments, step.zone, &step.ranges));
         self.runs.build((canvas.width, canvas.height), &self.spans[0], second);
@@ -190,7 +190,7 @@ impl Layers {
         out: &mut ViewMut<u8>,
         avx2: bool,
         painter: Option<&mut (dyn Painter + 'static)>,
-    ) -> Result<(), String> {
+    ) -> Result<(), PaintError> {
         let is_drawn = painter.is_some();
         if let Some(painter) = painter {
             self.hand_over(views, canvas, painter, pool, out, avx2)?;
