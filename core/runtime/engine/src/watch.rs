@@ -206,17 +206,7 @@ impl Shared {
             self.skip_from(plan, node, tick, &mut ready);
             again = self.take_next(plan, head, &mut ready);
         }
-        // Drops only the handle, because the thread may never end. It may belong to another node.
-        let own = lock(&self.own_threads).remove(&thread);
-        let mut replaced = self.pool.give_up(thread);
-        if let Some(me) = self.me.upgrade()
-            && let Some(own) = own
-        {
-            replaced = replaced.and(me.start_thread(own.node, &own.runtime));
-        }
-        if let Err(cause) = replaced {
-            self.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
-        }
+        self.replace_thread(thread);
         if again {
             self.dispatch(plan, head);
         }
@@ -227,6 +217,21 @@ impl Shared {
             }
             Action::Abandon => self.start_restart(runtime),
             _ => {}
+        }
+    }
+
+    /// Starts a thread in place of one that hangs.
+    fn replace_thread(&self, thread: u32) {
+        // Drops only the handle, because the thread may never end. It may belong to another node.
+        let own = lock(&self.own_threads).remove(&thread);
+        let mut replaced = self.pool.give_up(thread);
+        if let Some(me) = self.me.upgrade()
+            && let Some(own) = own
+        {
+            replaced = replaced.and(me.start_thread(own.node, &own.runtime));
+        }
+        if let Err(cause) = replaced {
+            self.fail_for_good(format!("no thread could be started to replace one that hangs: {cause}"));
         }
     }
 
