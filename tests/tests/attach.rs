@@ -97,7 +97,7 @@ fn attach(name: &str, address: &str, keys: Option<PathBuf>) -> Attachment {
 }
 
 fn want(attachment: &Attachment) {
-    let wanted = Wanted { node: "camera".to_owned(), port: "image".to_owned(), max_width: 160, is_paired: false };
+    let wanted = Wanted { node: "camera".to_owned(), port: "image".to_owned(), max_width: 160, group: 0 };
     attachment.request_packets(vec![wanted], Duration::from_millis(50));
 }
 

@@ -150,12 +150,8 @@ fn hours_leave_memory_threads_files_and_queues_level() {
     panoscope_testing::own_settings(&mut command, &folder);
     let window = Attachment::open(Target::find(&format!("rack@tcp/127.0.0.1:{relay_port}"), None).expect("a target"));
     let window = window.expect("a thread");
-    let wanted = |node: &str, port: &str| Wanted {
-        node: node.to_owned(),
-        port: port.to_owned(),
-        max_width: 640,
-        is_paired: false,
-    };
+    let wanted =
+        |node: &str, port: &str| Wanted { node: node.to_owned(), port: port.to_owned(), max_width: 640, group: 0 };
     window.request_packets(vec![wanted("camera", "image"), wanted("scope", "left")], Duration::from_millis(1));
 
     let output = command.output().expect("it runs");

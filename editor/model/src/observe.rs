@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, NodeReport, NodeWindow, Window};
-use panoscope_host::attach::PAIR_TICKS;
+use panoscope_host::attach::{Attachment, PAIR_TICKS};
 use serde::{Deserialize, Serialize};
 
 use crate::comparing::{self, Comparison, ComparisonRequest};
@@ -262,7 +262,7 @@ impl OutputPreview {
     }
 
     /// Sets which output has the confidence of the points.
-    fn set_confidence(&mut self, wanted: Option<&Output>, engine: Option<&Engine>) {
+    fn set_confidence(&mut self, wanted: Option<&Output>, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) {
         if self.confidence.as_ref().map(|(output, ..)| output) == wanted {
             return;
         }
@@ -273,10 +273,23 @@ impl OutputPreview {
             }
         }
         self.confidence = wanted.and_then(|output| {
-            let feed = Feed::of(output, None, engine)?;
-            feed.keep(CONFIDENCE_TICKS);
+            let feed = Feed::of(output, machine, engine)?;
             Some((output.clone(), feed, false))
         });
+    }
+
+    /// Sets how many packets are kept, and how many maps of confidence.
+    fn keep(&self, packets: usize, maps: usize) {
+        self.feed.keep(packets);
+        if let Some((_, confidence, _)) = &self.confidence {
+            confidence.keep(maps);
+        }
+    }
+
+    /// A packet with the confidence of its tick where that is wanted.
+    fn measured(&self, fed: Fed) -> Fed {
+        let confidence = self.confidence.as_ref().and_then(|(_, feed, _)| feed.take_tick(fed.frame.tick()));
+        Fed { confidence: confidence.or(fed.confidence), ..fed }
     }
 
     /// The newest packet since the last call, with the confidence of its tick where that is wanted.
@@ -407,14 +420,12 @@ impl Worker {
             self.outputs.clear();
         }
         if let Some(machine) = &machine {
-            let is_compared = |output| compared.as_ref().is_some_and(|pair| pair.is_of(output));
-            let wanted = requests.iter().map(|(output, request)| wanted(output, request, is_compared(output)));
-            machine.request_packets(wanted.collect(), interval);
+            machine.request_packets(wanted(&requests, compared.as_ref()), interval);
         }
         let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
         for output in removed {
             if let Some(mut view) = self.outputs.remove(&output) {
-                view.set_confidence(None, engine.as_deref());
+                view.set_confidence(None, None, engine.as_deref());
             }
             if let Some(engine) = &engine {
                 engine.end_previews(&output.node);
@@ -440,13 +451,14 @@ impl Worker {
             let Some(view) = self.outputs.get_mut(&output) else { continue };
             let asked = probes.get(&output);
             let is_compared = compared.as_ref().is_some_and(|pair| pair.is_of(&output));
-            view.feed.keep(match (is_compared, &request.pair) {
-                (true, _) => PAIR_TICKS,
-                (false, Some(_)) => EYE_TICKS,
-                (false, None) => 1,
-            });
-            view.set_confidence(request.confidence.as_ref().filter(|_| machine.is_none()), engine.as_deref());
-            let fed = of_one_tick.remove(&output).or_else(|| view.take());
+            view.set_confidence(request.confidence.as_ref(), machine.as_ref(), engine.as_deref());
+            let (packets, maps) = match (is_compared, &request.pair) {
+                (true, _) => (PAIR_TICKS, PAIR_TICKS),
+                (false, Some(_)) => (EYE_TICKS, CONFIDENCE_TICKS),
+                (false, None) => (1, CONFIDENCE_TICKS),
+            };
+            view.keep(packets, maps);
+            let fed = of_one_tick.remove(&output).map(|fed| view.measured(fed)).or_else(|| view.take());
             let render = view.render(fed, &request, asked.is_some() || is_compared);
             if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
                 lock(&self.mailbox).probes.insert(output.clone(), probe);

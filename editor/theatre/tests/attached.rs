@@ -5,6 +5,7 @@ use std::time::Duration;
 use crate::attachable::{Attachable, free_address};
 use crate::common::window::{GRAPH, Window, options};
 use crate::common::{Folder, has_plugin};
+use crate::theatre::lengths::{MEASURED, measure};
 use eframe::egui::{Ui, vec2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
@@ -14,9 +15,9 @@ use panoscope_theatre::{Action, Theatre};
 
 const THEATRE: &str = env!("CARGO_BIN_EXE_panoscope-theatre");
 
-/// Runs the graph at an address and attaches a window to it.
-fn attached(folder: Folder, address: &str, allows: &[&str]) -> Option<(Attachable, Window)> {
-    let running = Attachable::start(THEATRE, &folder.write("g.toml", GRAPH), address, allows);
+/// Runs a graph at an address and attaches a window to it.
+fn attached(folder: Folder, graph: &str, address: &str, allows: &[&str]) -> Option<(Attachable, Window)> {
+    let running = Attachable::start(THEATRE, &folder.write("g.toml", graph), address, allows);
     let Some(running) = running else {
         panoscope_testing::skipped!("there is no program `panoscope`");
         return None;
@@ -55,7 +56,9 @@ fn it_shows_what_runs_elsewhere_and_says_that_it_has_no_stop() {
     if !has_plugin("flow") {
         return;
     }
-    let Some((_running, mut window)) = attached(Folder::new("attached_reads"), &free_address(), &[]) else { return };
+    let Some((_running, mut window)) = attached(Folder::new("attached_reads"), GRAPH, &free_address(), &[]) else {
+        return;
+    };
     window.until("the note", |t| says(t, "Attached to engine: no emergency stop from here"));
     window.until("a young picture", |t| t.camera_age_ms().is_some_and(|age| age < 500.0));
     assert!(window.theatre().plan().settings.is_empty(), "it only reads");
@@ -77,7 +80,7 @@ fn it_sets_what_the_preset_pins_where_it_may_and_comes_back_after_a_loss() {
     }
     let allows = ["--allow-edit", "unnamed"];
     let address = free_address();
-    let Some((running, mut window)) = attached(Folder::new("attached_edits"), &address, &allows) else { return };
+    let Some((running, mut window)) = attached(Folder::new("attached_edits"), GRAPH, &address, &allows) else { return };
     window.until("its values", |t| past_weight(t) == Some(100));
     for weight in [120, 130, 140] {
         // Faster than the machine answers: none is lost.
@@ -94,4 +97,15 @@ fn it_sets_what_the_preset_pins_where_it_may_and_comes_back_after_a_loss() {
     let _running = Attachable::start(THEATRE, &graph, &address, &allows).expect("a program");
     window.until("it is back", |t| says(t, "Attached to engine") && past_weight(t) == Some(100));
     window.until("a young picture", |t| t.camera_age_ms().is_some_and(|age| age < 500.0));
+}
+
+/// Without the confidence every length has its widest bound.
+#[test]
+fn lengths_on_another_machine_have_the_confidence_of_their_disparities() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let folder = Folder::new("attached_measures");
+    let Some((_running, mut window)) = attached(folder, MEASURED, &free_address(), &[]) else { return };
+    assert_eq!(measure(&mut window), [true; 2]);
 }

@@ -3,7 +3,7 @@
 #[path = "theatre/clips.rs"]
 mod clips;
 #[path = "theatre/lengths.rs"]
-mod lengths;
+pub mod lengths;
 #[path = "theatre/locks.rs"]
 mod locks;
 

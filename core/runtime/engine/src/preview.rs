@@ -96,6 +96,11 @@ impl Preview {
         recent.shrink(keep);
     }
 
+    /// The kept packet of a tick; it and those before it are removed.
+    pub fn take_tick(&self, tick: Tick) -> Option<FrameRef> {
+        lock(&self.subscription.recent).take_tick(tick)
+    }
+
     /// The newest packets of one tick that two outputs keep, since the last pair. A reader that takes the newest packet of each can miss such a
     /// tick for ever: outputs of one tick appear one after the other, and a reader may always look between them.
     pub fn take_pair(&self, other: &Self) -> Option<(FrameRef, FrameRef)> {
@@ -227,6 +232,9 @@ mod tests {
         assert!(a.take().is_none(), "once");
         show(packet(1, 6), packet(1, 4));
         assert_eq!(seqs(b.take_pair(&a)), Some((4, 4)), "either way");
+        show(packet(1, 6), packet(1, 5));
+        show(packet(1, 7), packet(1, 6));
+        assert_eq!(b.take_tick(packet(1, 5).tick()).map(|packet| packet.tick().seq), Some(5));
         // Another source has other ticks.
         show(packet(1, 7), packet(2, 7));
         show(packet(1, 8), packet(2, 8));

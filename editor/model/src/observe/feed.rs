@@ -1,13 +1,15 @@
 //! Where the packets of previews come from: this run, or that of another machine.
 
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
+use panoscope_abi::Tick;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Preview};
 use panoscope_host::attach::message::Wanted;
 use panoscope_host::attach::{Attachment, Packet};
 
-use super::{Output, PreviewRequest};
+use super::{ComparisonRequest, Output, PreviewRequest};
 
 /// Where the packets of an output come from.
 pub(super) enum Feed {
@@ -66,6 +68,14 @@ impl Feed {
         }
     }
 
+    /// The kept packet of a tick; none from a machine, which sends pairs.
+    pub fn take_tick(&self, tick: Tick) -> Option<FrameRef> {
+        match self {
+            Self::Engine(preview) => preview.take_tick(tick),
+            Self::Machine(..) => None,
+        }
+    }
+
     /// The newest packet since the last call.
     pub fn take(&self) -> Option<Fed> {
         match self {
@@ -75,11 +85,35 @@ impl Feed {
     }
 }
 
-/// What a machine is to send for a preview, with packets of one tick for outputs that are compared or shown together.
-pub(super) fn wanted(output: &Output, request: &PreviewRequest, is_compared: bool) -> Wanted {
-    let is_paired = is_compared || request.pair.is_some();
-    let max_width = u32::try_from(request.max_width).unwrap_or(u32::MAX);
-    // A surface and points need all of a cloud.
-    let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
-    Wanted { node: output.node.clone(), port: output.port.clone(), max_width, is_paired }
+/// Group of two outputs that are compared.
+const COMPARED: u32 = 1;
+/// Group of the eyes of a stereo pair.
+const EYES: u32 = 2;
+/// First group of points with their confidence.
+const MEASURED: u32 = 3;
+
+/// What a machine is to send for previews, with packets of one tick for outputs that are compared, shown or measured together.
+pub(super) fn wanted(requests: &HashMap<Output, PreviewRequest>, compared: Option<&ComparisonRequest>) -> Vec<Wanted> {
+    // In an order of their own, so that groups keep their numbers.
+    let requests: BTreeMap<_, _> = requests.iter().collect();
+    let mut all: BTreeMap<&Output, Wanted> = BTreeMap::new();
+    for ((&output, request), own) in requests.iter().zip(MEASURED..) {
+        let group = match (compared.is_some_and(|pair| pair.is_of(output)), &request.pair, &request.confidence) {
+            (true, ..) => COMPARED,
+            (_, Some(_), _) => EYES,
+            (_, _, Some(_)) => own,
+            _ => 0,
+        };
+        let max_width = u32::try_from(request.max_width).unwrap_or(u32::MAX);
+        // A surface and points need all of a cloud.
+        let max_width = if request.viewpoint.is_some() || request.points { u32::MAX } else { max_width };
+        let confidence = request.confidence.as_ref().filter(|_| group == own);
+        for (output, max_width) in [(output, max_width)].into_iter().chain(confidence.map(|map| (map, u32::MAX))) {
+            let (node, port) = (output.node.clone(), output.port.clone());
+            let one = all.entry(output).or_insert(Wanted { node, port, max_width, group });
+            // A map that is shown too comes once.
+            (one.max_width, one.group) = (one.max_width.max(max_width), one.group.max(group));
+        }
+    }
+    all.into_values().collect()
 }

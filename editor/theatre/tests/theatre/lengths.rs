@@ -7,12 +7,8 @@ use panoscope_theatre::Theatre;
 use crate::common::window::Window;
 use crate::common::{has_plugin, input};
 
-#[test]
-fn lengths_have_the_confidence_of_their_disparities() {
-    if !has_plugin("phantom") || !has_plugin("stereo") {
-        return;
-    }
-    let matched = r#"plugins = ["phantom", "stereo"]
+/// A surface with the confidence of its disparities.
+pub const MEASURED: &str = r#"plugins = ["phantom", "stereo"]
 [nodes.scope]
 type = "phantom"
 params = { scene = "bowel", width = 320, height = 240, speed_mm_s = 0.0, breathing_mm = 0.0 }
@@ -28,23 +24,34 @@ inputs = { image = "scope.left", disparity = "wls.disparity", calibration = "sco
 [preset]
 views = ["scope.left", "points.cloud"]
 "#;
+
+/// Measures a length and returns of which of its ends the confidence is known.
+pub fn measure(window: &mut Window) -> Vec<bool> {
+    window.key(Key::M);
+    window.until_shown("Measure here");
+    let rect = window.harness.get_by_label("Measure here").rect();
+    for share in [0.6, 0.8] {
+        input::tap(&mut window.harness, rect.min + rect.size() * share);
+    }
+    window.until("a distance with its error", |t| t.distance().is_some());
+    let known = |t: &Theatre| {
+        let points = t.tapped().iter().filter_map(|point| point.position);
+        points.map(|point| point.confidence.is_some()).collect()
+    };
+    known(window.theatre())
+}
+
+#[test]
+fn lengths_have_the_confidence_of_their_disparities() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
     // Where the surface is made without a confidence, nothing is known of it.
     for (name, text, is_known) in [
-        ("confident", matched.to_owned(), true),
-        ("unknown_confidence", matched.replace(", confidence = \"wls.confidence\"", ""), false),
+        ("confident", MEASURED.to_owned(), true),
+        ("unknown_confidence", MEASURED.replace(", confidence = \"wls.confidence\"", ""), false),
     ] {
         let mut window = Window::open(name, &text);
-        window.key(Key::M);
-        window.until_shown("Measure here");
-        let rect = window.harness.get_by_label("Measure here").rect();
-        for share in [0.6, 0.8] {
-            input::tap(&mut window.harness, rect.min + rect.size() * share);
-        }
-        window.until("a distance with its error", |t| t.distance().is_some());
-        let known = |t: &Theatre| {
-            let points = t.tapped().iter().filter_map(|point| point.position);
-            points.map(|point| point.confidence.is_some()).collect::<Vec<bool>>()
-        };
-        assert_eq!(known(window.theatre()), [is_known; 2], "{name}");
+        assert_eq!(measure(&mut window), [is_known; 2], "{name}");
     }
 }

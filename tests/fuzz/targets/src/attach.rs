@@ -91,7 +91,7 @@ fn packet(format: u32, width: u32, height: u32, len: u64, is_compressed: bool, c
 
 pub fn seeds() -> Vec<Vec<u8>> {
     let gray = format::image_named("gray8").expect("a format").id;
-    let wanted = Wanted { node: "a".to_owned(), port: "left".to_owned(), max_width: 320, is_paired: true };
+    let wanted = Wanted { node: "a".to_owned(), port: "left".to_owned(), max_width: 320, group: 1 };
     let text = "plugins = []\n[nodes.arm]\ntype = \"arm_sim\"\nparams = { emergency_stop = false, reset = 1 }\n";
     let run = |new: String| Command::Run { id: 3, base: text.to_owned(), text: new };
     let mut frames = Vec::new();

@@ -31,8 +31,8 @@ pub struct Wanted {
     pub port: String,
     /// Maximum width of an image, px.
     pub max_width: u32,
-    /// Whether its packets are compared with those of another output: where exactly two are, packets of one tick are sent.
-    pub is_paired: bool,
+    /// Its group, 0 for none. Of the outputs of a group of two, packets of one tick are sent.
+    pub group: u32,
 }
 
 /// A command from a window.
@@ -234,7 +234,7 @@ mod tests {
 
     #[test]
     fn what_makes_no_sense_is_refused() {
-        let wanted = Wanted { node: "a".to_owned(), port: "b".to_owned(), max_width: 1, is_paired: false };
+        let wanted = Wanted { node: "a".to_owned(), port: "b".to_owned(), max_width: 1, group: 0 };
         let greedy = Command::Preview { wanted: vec![wanted; MAX_OUTPUTS + 1], interval_ms: 1 };
         for bytes in [&b""[..], b"x", b"J", b"J{}", b"J{\"Run\":1}", &write_command(&greedy)] {
             assert!(read_command(bytes).is_err());

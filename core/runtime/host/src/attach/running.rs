@@ -104,28 +104,27 @@ struct Sent {
     is_first: bool,
 }
 
-/// Packets of the outputs that are due. Two compared outputs are due together, and send packets of one tick if there are any.
+/// Packets of the outputs that are due. Two outputs of a group are due together, and send packets of one tick if there are any.
 fn due(feeds: &mut [Feed], interval: Duration) -> Vec<Sent> {
-    let (mut paired, mut single): (Vec<&mut Feed>, Vec<&mut Feed>) =
-        feeds.iter_mut().partition(|feed| feed.wanted.is_paired);
-    if let [a, b] = &mut paired[..] {
-        if !a.is_due(interval) || !b.is_due(interval) {
-            paired.clear();
-        } else if let Some((first, second)) = a.preview.take_pair(&b.preview) {
-            return [a.sends(first, true), b.sends(second, false)]
-                .into_iter()
-                .chain(newest(single, interval))
-                .collect();
+    let mut groups: BTreeMap<u32, Vec<&mut Feed>> = BTreeMap::new();
+    feeds.iter_mut().for_each(|feed| groups.entry(feed.wanted.group).or_default().push(feed));
+    let mut sent = Vec::new();
+    for (group, mut feeds) in groups {
+        if let [a, b] = &mut feeds[..]
+            && group != 0
+        {
+            if !a.is_due(interval) || !b.is_due(interval) {
+                continue;
+            }
+            if let Some((first, second)) = a.preview.take_pair(&b.preview) {
+                sent.extend([a.sends(first, true), b.sends(second, false)]);
+                continue;
+            }
         }
+        let due = feeds.into_iter().filter(|feed| feed.is_due(interval));
+        sent.extend(due.filter_map(|feed| feed.preview.take().map(|packet| feed.sends(packet, false))));
     }
-    single.append(&mut paired);
-    newest(single, interval).collect()
-}
-
-/// The newest packets of the outputs that are due.
-fn newest(feeds: Vec<&mut Feed>, interval: Duration) -> impl Iterator<Item = Sent> {
-    let due = feeds.into_iter().filter(move |feed| feed.is_due(interval));
-    due.filter_map(|feed| feed.preview.take().map(|packet| feed.sends(packet, false)))
+    sent
 }
 
 /// An attached window.
@@ -350,7 +349,7 @@ impl Attachable {
                 if feeds.iter().all(|feed| feed.wanted != *one)
                     && let Some(preview) = engine.preview(&one.node, &one.port)
                 {
-                    preview.keep(if one.is_paired { PAIR_TICKS } else { 1 });
+                    preview.keep(if one.group == 0 { 1 } else { PAIR_TICKS });
                     feeds.push(Feed { wanted: one.clone(), preview, underway: 0, at: None });
                 }
             }

@@ -51,7 +51,7 @@ pub const EXIT_LINK: i32 = 88;
 pub(crate) const EXIT_CONFINED: i32 = 87;
 
 /// Incremented when the messages change: host and child must be of one build.
-pub const PROTOCOL: u32 = 5;
+pub const PROTOCOL: u32 = 6;
 
 /// The system's monotonic clock, the same in host and child.
 pub fn system_ns() -> i64 {
