@@ -245,8 +245,8 @@ impl Drop for Observer {
 
 struct OutputPreview {
     feed: Feed,
-    /// For points: where their confidence comes from, and whether points without it were left out.
-    confidence: Option<(Output, Feed, bool)>,
+    /// For points: where their confidence comes from, and how many points without it were left out.
+    confidence: Option<(Output, Feed, usize)>,
     /// From a machine: of the last packet.
     elsewhere: Option<(Option<i64>, (usize, usize))>,
     range: Range,
@@ -274,7 +274,7 @@ impl OutputPreview {
         }
         self.confidence = wanted.and_then(|output| {
             let feed = Feed::of(output, machine, engine)?;
-            Some((output.clone(), feed, false))
+            Some((output.clone(), feed, 0))
         });
     }
 
@@ -294,13 +294,14 @@ impl OutputPreview {
 
     /// The newest packet since the last call, with the confidence of its tick where that is wanted.
     fn take(&mut self) -> Option<Fed> {
-        let Some((_, confidence, has_left_out)) = &mut self.confidence else { return self.feed.take() };
+        let Some((_, confidence, left_out)) = &mut self.confidence else { return self.feed.take() };
         if let Some([points, confidence]) = self.feed.take_pair(confidence) {
             return Some(Fed { confidence: Some(confidence.frame), ..points });
         }
-        // The confidence of the first points may have come before it was asked for; later ones have none.
+        // The confidence of the first points may have come before it was asked for, and a machine hears later that it is; later ones have none.
         let fed = self.feed.take()?;
-        std::mem::replace(has_left_out, true).then_some(fed)
+        *left_out += 1;
+        (*left_out > if fed.elsewhere.is_some() { PAIR_TICKS } else { 1 }).then_some(fed)
     }
 
     /// Renders a packet; `None` when there is no packet and the viewpoint is unchanged.
