@@ -186,9 +186,8 @@ mod tests {
             let noise = Noise { disparity_px: 0.0, ..Noise::USUAL };
             let errors = Errors::of(750.0, 15.0, rms_px, stated, &noise);
             // Without scatter the match adds nothing.
-            let end = |x: f64| {
-                SurfacePoint { ray: [x, 0.0], inverse_depth: 1.0 / z_mm, scatter: 0.0, confidence: Some(1.0) }
-            };
+            let end =
+                |x: f64| SurfacePoint { ray: [x, 0.0], inverse_depth: 1.0 / z_mm, scatter: 0.0, confidence: Some(1.0) };
             with_error(&[end(-0.2), end(0.2)], Some(&errors), distance)
         };
         let (length, at_neutral) = bound(60.0, 0.5, Some(stated));
