@@ -9,6 +9,7 @@
 pub mod bench;
 pub mod calibration;
 mod canvas;
+mod embedded;
 mod error;
 pub mod eval;
 pub mod figures;

@@ -7,7 +7,7 @@ use panoscope_engine::text_table::table;
 
 use crate::error::{Context, Result};
 use crate::figures::Figure;
-use crate::inputs::scene::rectified_phantom;
+use crate::inputs::scene;
 use crate::packets::{Table, floats};
 use crate::plot::{self, Chart, Series, Style};
 use crate::run::{self, Plan};
@@ -31,7 +31,7 @@ pub(crate) fn points(distance_mm: f64) -> Vec<[f64; 2]> {
     (0..3).flat_map(|i| (0..4).map(move |j| (i, j))).map(|(i, j)| at(i, j)).collect()
 }
 
-pub(crate) fn graph(scene: &str, distance_mm: f64, points: &[[f64; 2]]) -> String {
+pub(crate) fn graph(tissue: &str, distance_mm: f64, points: &[[f64; 2]]) -> String {
     let mut pairs = Vec::new();
     for (index, a) in points.iter().enumerate() {
         for b in &points[index + 1..] {
@@ -39,38 +39,27 @@ pub(crate) fn graph(scene: &str, distance_mm: f64, points: &[[f64; 2]]) -> Strin
         }
     }
     let single: Vec<f64> = points.iter().flatten().copied().collect();
-    let scope = format!("scene = \"{scene}\", distance_mm = {distance_mm:?}");
-    rectified_phantom("batch", &[], &scope)
+    let scope = format!("scene = \"{tissue}\", distance_mm = {distance_mm:?}");
+    scene::depth("batch", &scene::phantom(&scope))
         + &format!(
             r#"
 [nodes.bm]
 type = "stereo_bm"
-inputs = {{ left = "rectify.left", right = "rectify.right" }}
+inputs = {{ left = "depth.left", right = "depth.right" }}
 params = {{ uniqueness = 5 }}
 [nodes.bm_wls]
 type = "disparity_wls"
-inputs = {{ image = "rectify.left", disparity = "bm.disparity", disparity_right = "bm.disparity_right" }}
+inputs = {{ image = "depth.left", disparity = "bm.disparity", disparity_right = "bm.disparity_right" }}
 [nodes.bm_wls_fbs]
 type = "disparity_fbs"
-inputs = {{ image = "rectify.left", disparity = "bm_wls.disparity", confidence = "bm_wls.confidence" }}
-[nodes.sgbm]
-type = "stereo_sgbm"
-inputs = {{ left = "rectify.left", right = "rectify.right" }}
-params = {{ speckle_area_px = 200 }}
-[nodes.sgbm_wls]
-type = "disparity_wls"
-inputs = {{ image = "rectify.left", disparity = "sgbm.disparity", disparity_right = "sgbm.disparity_right" }}
-params = {{ scatter_radius_px = 3, lambda = 200.0 }}
-[nodes.points]
-type = "reproject"
-inputs = {{ image = "rectify.left", disparity = "sgbm_wls.disparity", confidence = "sgbm_wls.confidence", calibration = "rectify.calibration" }}
+inputs = {{ image = "depth.left", disparity = "bm_wls.disparity", confidence = "bm_wls.confidence" }}
 [nodes.lengths]
 type = "measure"
-inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration", confidence = "sgbm_wls.confidence" }}
+inputs = {{ cloud = "depth.cloud", calibration = "depth.calibration", confidence = "depth.confidence" }}
 params = {{ points = {pairs:?} }}
 [nodes.depths]
 type = "measure"
-inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration", confidence = "sgbm_wls.confidence" }}
+inputs = {{ cloud = "depth.cloud", calibration = "depth.calibration", confidence = "depth.confidence" }}
 params = {{ kind = "depth", points = {single:?} }}
 "#
         )
@@ -168,7 +157,7 @@ impl Ruler {
         if self.lengths.is_empty() {
             return out;
         }
-        let input = "phantom bowel 640x480, 30 to 70 mm, sgbm_wls, points inside the overlap";
+        let input = "phantom bowel 640x480, 30 to 70 mm, the depth preset, points inside the overlap";
         let mut add = |name: &str, value: f64, unit| out.push(Figure::new(name, value, unit, input));
         let within = |all: &[Measured]| {
             100.0 * all.iter().filter(|m| m.off_mm() <= m.stated_mm).count() as f64 / all.len().max(1) as f64

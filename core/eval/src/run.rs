@@ -10,6 +10,7 @@ use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Previ
 use panoscope_graph::{GraphOptions, GraphText};
 use panoscope_host::loader::graph_file::{self, Ready};
 
+use crate::embedded;
 use crate::error::{Context, EvalError, Result};
 use crate::session::{Session, check_cancelled};
 
@@ -18,7 +19,7 @@ const CLOSE_LIMIT: Duration = Duration::from_secs(10);
 
 /// Options of a run.
 pub struct Plan<'a> {
-    /// The graph as TOML text.
+    /// The graph as TOML text; its parts may be embedded files.
     pub text: &'a str,
     /// Path of the graph in messages; relative paths start from its folder.
     pub path: &'a Path,
@@ -113,7 +114,7 @@ pub struct Watchers {
 /// As [`run`], with watchers.
 pub fn run_watched(session: &dyn Session, plan: &Plan<'_>, watchers: Watchers) -> Result<RunOutput> {
     check_cancelled(session)?;
-    let ready = ready(&GraphText::parse(plan.path, plan.text))?;
+    let ready = ready(&GraphText::parse_with(plan.path, plan.text, &embedded::options()))?;
     let counters = session.allocation_counters();
     let options = Options {
         threads: plan.threads,

@@ -60,14 +60,13 @@ impl Cloud {
     /// The surface point at a column and row, estimated from the pixels within `radius_px`; `None` when too few are known.
     pub fn surface_point(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
         let at = [f64::from(u).max(0.0), f64::from(v).max(0.0)];
-        let point = SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
+        let sample = |x: usize, y: usize| {
             let [x, y, z] = self.xyz_mm.get(y * self.width + x)?.map(f64::from);
             let known = z > 0.0 && [x, y, z].iter().all(|v| v.is_finite());
             known.then(|| [x / z, y / z, 1.0 / z])
-        })?;
-        // Inside, or there would be no point.
-        let [x, y] = [(at[0], self.width), (at[1], self.height)].map(|(at, end)| (at.round() as usize).min(end - 1));
-        Some(point.trusted(self.confidence.get(y * self.width + x).copied().unwrap_or(f32::NAN)))
+        };
+        let trust = |x: usize, y: usize| self.confidence.get(y * self.width + x).copied().unwrap_or(f32::NAN);
+        SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), sample, trust)
     }
 }
 

@@ -7,9 +7,9 @@ use panoscope_engine::Options;
 use panoscope_graph::GraphText;
 
 use super::graph::{self, Pace};
+use crate::embedded;
 use crate::error::{Context, EvalError, Result};
 use crate::figures::Figure;
-use crate::inputs::embedded;
 use crate::run;
 
 const NODES: usize = 1_000;

@@ -1,6 +1,5 @@
 //! Inputs of evaluations and benches: data folders, shipped models, rendered pairs, graphs.
 
-pub mod embedded;
 mod folder;
 pub mod level;
 pub mod pairs;

@@ -139,16 +139,10 @@ impl Measure {
         self.places.clear();
         let (given, places, samples) = (&mut self.given, &mut self.places, &mut self.samples);
         let trust = input.confidence.as_ref().map(Image::view);
-        let mut at = |u: f64, v: f64| {
-            let point = surface.at(u, v, params.radius_px, samples)?;
-            // Inside the picture, or there would be no point.
-            let here = trust
-                .map(|map| map.row((v.round() as usize).min(map.height - 1))[(u.round() as usize).min(map.width - 1)]);
-            Some(here.map_or(point, |confidence| point.trusted(confidence)))
-        };
+        let mut at = |point: [f64; 2]| surface.at(point, params.radius_px, trust, samples);
         for point in params.points.as_chunks::<2>().0 {
             given.push(*point);
-            places.push(at(point[0], point[1]));
+            places.push(at(*point));
         }
         let tips = input.tips.as_ref();
         for tip in tips.into_iter().flat_map(|tips| (0..tips.len()).map(move |index| tips.get(index))) {
@@ -158,7 +152,7 @@ impl Measure {
                 continue;
             };
             given.push([tip.u_px, tip.v_px]);
-            let seen = at(tip.u_px, tip.v_px);
+            let seen = at([tip.u_px, tip.v_px]);
             // The tip finder has already separated the tool from what lies behind it.
             let given = (tip.xyz_valid == 1)
                 .then_some(tip.xyz_mm)
@@ -172,7 +166,7 @@ impl Measure {
             let middle = |from: f32, length: f32| f64::from(from) + f64::from(length) / 2.0;
             let point = [middle(found.x_px, found.width_px), middle(found.y_px, found.height_px)];
             given.push(point);
-            places.push(at(point[0], point[1]));
+            places.push(at(point));
         }
     }
 

@@ -20,24 +20,37 @@ impl Surface<'_> {
         }
     }
 
-    /// The surface at column `u`, row `v`, from the pixels up to `radius` px away; `None` where too few were measured. `work` is reused.
-    pub fn at(&self, u: f64, v: f64, radius: usize, work: &mut Vec<Sample>) -> Option<SurfacePoint> {
+    /// The surface at column `u`, row `v`, from the pixels up to `radius` px away; `None` where too few were measured. `trust` is the confidence of each
+    /// pixel, where known, of the surface's size. `work` is reused.
+    pub fn at(
+        &self,
+        [u, v]: [f64; 2],
+        radius: usize,
+        trust: Option<View<'_, f32>>,
+        work: &mut Vec<Sample>,
+    ) -> Option<SurfacePoint> {
+        let trust = |x: usize, y: usize| trust.as_ref().map_or(f32::NAN, |map| map.row(y)[x]);
+        let (size, at) = (self.size(), [u, v]);
         match self {
             Self::Cloud(cloud) => {
                 let (points, width) = (cloud.points(), cloud.width());
-                SurfacePoint::at(self.size(), [u, v], radius, work, |x, y| {
+                let sample = |x: usize, y: usize| {
                     let point = points.get(y * width + x)?;
                     let z = f64::from(point.z_mm);
                     (z > 0.0 && point.is_measured())
                         .then(|| [f64::from(point.x_mm) / z, f64::from(point.y_mm) / z, 1.0 / z])
-                })
+                };
+                SurfacePoint::at(size, at, radius, work, sample, trust)
             }
-            Self::Depth(depth, views) => SurfacePoint::at(self.size(), [u, v], radius, work, |x, y| {
-                let z = f64::from(depth.row(y)[x]);
-                let (u, v) = (x as f64 - views.left.cx, y as f64 - views.left.cy);
-                let focal = views.left.focal_px;
-                (z > 0.0 && z.is_finite()).then(|| [u / focal, v / focal, 1.0 / z])
-            }),
+            Self::Depth(depth, views) => {
+                let sample = |x: usize, y: usize| {
+                    let z = f64::from(depth.row(y)[x]);
+                    let (u, v) = (x as f64 - views.left.cx, y as f64 - views.left.cy);
+                    let focal = views.left.focal_px;
+                    (z > 0.0 && z.is_finite()).then(|| [u / focal, v / focal, 1.0 / z])
+                };
+                SurfacePoint::at(size, at, radius, work, sample, trust)
+            }
         }
     }
 }

@@ -13,7 +13,7 @@ use crate::calibration::{self, Source};
 use crate::error::{Context, Result};
 use crate::figures::Figure;
 use crate::inputs::Folder;
-use crate::inputs::scene::rectified;
+use crate::inputs::scene;
 use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
@@ -65,9 +65,12 @@ pub fn figures(session: &dyn Session, set: &BoardSet<'_>) -> Result<Vec<Figure>>
                     continue;
                 }
             };
+            let files = ["stated.yml", "plain.yml"].map(|name| folder.path().join(name));
+            panoscope_data::calibration::write(&files[0], &made)?;
+            panoscope_data::calibration::write(&files[1], &Calibration { stated_error: 0, ..made })?;
             for view in out {
                 let pair = [&set.files[0][view], &set.files[1][view]].map(PathBuf::as_path);
-                lengths.extend(measure(session, set, &made, pair, folder.path())?);
+                lengths.extend(measure(session, set, &files, pair)?);
             }
             errors.push(made.rms_px);
         }
@@ -116,19 +119,15 @@ fn run_once(session: &dyn Session, text: &str, ports: &[(&str, &str)]) -> Result
     Ok(output.packets.iter().map(|packet| packet.as_ref().and_then(|packet| Table::read(packet.bytes()))).collect())
 }
 
-/// Lengths between random points of the board of one pair.
+/// Lengths between random points of the board of one pair, by the files of a calibration with and without what it states of its error.
 fn measure(
     session: &dyn Session,
     set: &BoardSet<'_>,
-    made: &Calibration,
+    calibrations: &[PathBuf; 2],
     pair: [&Path; 2],
-    folder: &Path,
 ) -> Result<Vec<Length>> {
-    let [stated, plain] = ["stated.yml", "plain.yml"].map(|name| folder.join(name));
-    panoscope_data::calibration::write(&stated, made)?;
-    panoscope_data::calibration::write(&plain, &Calibration { stated_error: 0, ..*made })?;
     let board = toml::Value::from(set.board.to_string());
-    let find = rectified("batch", &["opencv"], &source(pair, &stated))
+    let find = scene::rectified("batch", &["opencv"], &source(pair, &calibrations[0]))
         + &format!(
             "[nodes.board]\ntype = \"find_board\"\ninputs = {{ image = \"rectify.left\" }}\nparams = {{ board = {board} }}\n"
         );
@@ -138,8 +137,8 @@ fn measure(
         return Ok(Vec::new());
     }
     let mut out = Vec::new();
-    for calibration in [&stated, &plain] {
-        let text = rectified("batch", &[], &source(pair, calibration)) + &depth(&ends);
+    for calibration in calibrations {
+        let text = scene::depth("batch", &source(pair, calibration)) + &lengths(&ends);
         let table = run_once(session, &text, &[("lengths", "table")])?.remove(0).context("the lengths are cut off")?;
         out.push((
             table.column("distance_mm").context("no distance_mm")?,
@@ -174,24 +173,13 @@ fn chosen(found: &Table) -> (Vec<f64>, Vec<f64>) {
     (ends, true_mm)
 }
 
-/// The depth preset, and lengths between these points.
-fn depth(ends: &[f64]) -> String {
+/// Node `lengths`: between these points, by the depth preset.
+fn lengths(ends: &[f64]) -> String {
     format!(
         r#"
-[nodes.match]
-type = "stereo_sgbm"
-inputs = {{ left = "rectify.left", right = "rectify.right", mask_left = {{ from = "rectify.mask_left", optional = true }}, mask_right = {{ from = "rectify.mask_right", optional = true }} }}
-params = {{ speckle_area_px = 200 }}
-[nodes.wls]
-type = "disparity_wls"
-inputs = {{ image = "rectify.left", disparity = "match.disparity", disparity_right = "match.disparity_right", mask = {{ from = "rectify.mask_left", optional = true }} }}
-params = {{ scatter_radius_px = 3, lambda = 200.0, beyond_mask_px = 5 }}
-[nodes.points]
-type = "reproject"
-inputs = {{ image = "rectify.left", disparity = "wls.disparity", confidence = "wls.confidence", calibration = "rectify.calibration" }}
 [nodes.lengths]
 type = "measure"
-inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration", confidence = "wls.confidence" }}
+inputs = {{ cloud = "depth.cloud", calibration = "depth.calibration", confidence = "depth.confidence" }}
 params = {{ points = {ends:?} }}
 "#
     )

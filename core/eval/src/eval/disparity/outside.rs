@@ -12,7 +12,7 @@ use super::picture;
 use super::rectified::points;
 use crate::error::{Context, Result};
 use crate::figures::Figure;
-use crate::inputs::scene::rectified_phantom;
+use crate::inputs::scene::{phantom, rectified};
 use crate::packets::floats;
 use crate::ruler::{BASELINE_MM, FOCAL_PX, SIZE};
 use crate::run::{self, Plan};
@@ -163,7 +163,7 @@ impl Judge<'_> {
             // What the geometry says of the farthest tissue.
             let expected_px = (FOCAL_PX * BASELINE_MM / (1.25 * distance_mm)) as i32;
             let scene = format!("scene = \"bowel\", distance_mm = {distance_mm:?}");
-            let text = rectified_phantom("batch", &[], &scene)
+            let text = rectified("batch", &[], &phantom(&scene))
                 + &format!(
                     r#"
 [nodes.found]

@@ -7,12 +7,13 @@ use crate::packets::floats;
 use crate::ruler::{DISTANCES_MM, Ruler, SIZE, graph, plan, points};
 use crate::run;
 
+/// Chains and the nodes that their disparities come from.
 const CHAINS: [(&str, &str); 5] = [
-    ("bm", "bm.disparity"),
-    ("bm_wls", "bm_wls.disparity"),
-    ("bm_wls_fbs", "bm_wls_fbs.disparity"),
-    ("sgbm", "sgbm.disparity"),
-    ("sgbm_wls", "sgbm_wls.disparity"),
+    ("bm", "bm"),
+    ("bm_wls", "bm_wls"),
+    ("bm_wls_fbs", "bm_wls_fbs"),
+    ("sgbm", "depth/match"),
+    ("sgbm_wls", "depth/wls"),
 ];
 
 impl Judge<'_> {
@@ -35,12 +36,12 @@ impl Judge<'_> {
             ("scope", "disparity"),
             ("scope", "depth"),
             ("scope", "visible"),
-            ("points", "depth"),
+            ("depth/points", "depth"),
             ("lengths", "table"),
             ("depths", "table"),
         ];
         let chains = ports.len();
-        ports.extend(CHAINS.iter().map(|(chain, _)| (*chain, "disparity")));
+        ports.extend(CHAINS.iter().map(|(_, node)| (*node, "disparity")));
         let views = ports.len();
         if self.own.is_some() {
             ports.extend([("scope", "left"), ("scope", "right")]);

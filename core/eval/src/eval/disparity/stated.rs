@@ -239,9 +239,11 @@ fn points(left: &SyntheticView, found: &[f32], trust: Option<&[f32]>) -> Vec<Opt
         }
         // What is measured is the surface under the pixel: no point where the map has none.
         sample(found, x, y)?;
-        let point = SurfacePoint::at(size, [x as f64, y as f64], RADIUS_PX, &mut work, |x, y| sample(found, x, y))?;
+        let here = |x, y| sample(found, x, y);
+        let trust = |x: usize, y: usize| trust.map_or(f32::NAN, |trust| trust[y * size.0 + x]);
+        let point = SurfacePoint::at(size, [x as f64, y as f64], RADIUS_PX, &mut work, here, trust)?;
         let [u, v, inverse] = sample(&left.disparity, x, y)?;
-        Some((trust.map_or(point, |trust| point.trusted(trust[index])), [u / inverse, v / inverse, 1.0 / inverse]))
+        Some((point, [u / inverse, v / inverse, 1.0 / inverse]))
     };
     let columns = || (POINTS_PX..size.0).step_by(POINTS_PX);
     let positions = (POINTS_PX..size.1).step_by(POINTS_PX).flat_map(|y| columns().map(move |x| (x, y)));

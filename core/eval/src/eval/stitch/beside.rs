@@ -7,8 +7,8 @@ use toml::{Table, Value};
 
 use super::graphs::{self, setting};
 use super::sources::Source;
+use crate::embedded;
 use crate::error::{Context, Result, bail};
-use crate::inputs::embedded;
 use crate::inputs::wiring::Wiring;
 use crate::packets;
 use crate::run::{self, Pace, Plan};

@@ -4,8 +4,8 @@
 //! around the point, without pixels of another surface. The residual of the fit is the scatter of the match.
 //!
 //! A filter that smooths makes the errors of neighbours alike: inside a small window nothing is seen of them. So the surface further around is
-//! looked at too, and what it deviates from a plane adds to the scatter. Relief of the tissue does, too: the error is stated too large rather than
-//! too small there.
+//! looked at too, where it is matched as surely as the point: what it deviates from a plane is the scatter, without what single pixels deviate alone, which
+//! the plane averages out. Relief of the tissue counts, too: the error is stated too large rather than too small there.
 
 /// A surface point: `(ray[0], ray[1], 1) / inverse_depth` in mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,18 +14,13 @@ pub struct SurfacePoint {
     pub ray: [f64; 2],
     /// 1 / z in 1/mm.
     pub inverse_depth: f64,
-    /// Standard deviation of the inverse depths from the fitted plane, and of the surface further around from its own, added as squares, in 1/mm.
+    /// Standard deviation of the inverse depths that pixels around share, in 1/mm.
     pub scatter: f64,
     /// How far its match is to be trusted, 0 to 1: the confidence that a filter gives; `None` where it is not known.
     pub confidence: Option<f64>,
 }
 
 impl SurfacePoint {
-    /// The point with the confidence that a filter gives its pixel; one that is not finite is not known.
-    pub fn trusted(self, confidence: f32) -> Self {
-        Self { confidence: confidence.is_finite().then(|| f64::from(confidence.clamp(0.0, 1.0))), ..self }
-    }
-
     /// x, y, z in mm, with the inverse depth changed by `change`.
     pub fn xyz_mm(&self, change: f64) -> [f64; 3] {
         let z = 1.0 / (self.inverse_depth + change);
@@ -33,20 +28,21 @@ impl SurfacePoint {
     }
 
     /// The surface at column `u`, row `v` of a picture of `size` (columns, rows), from the pixels up to `radius_px` away; `None` where too
-    /// few are known. `sample` gives x / z, y / z and 1 / z of a pixel, where known. `work` is reused.
+    /// few are known. `sample` gives x / z, y / z and 1 / z of a pixel, where known, `trust` its confidence, not finite where unknown. `work` is reused.
     pub fn at(
         size: (usize, usize),
         [u, v]: [f64; 2],
         radius_px: usize,
         work: &mut Vec<Sample>,
         sample: impl Fn(usize, usize) -> Option<[f64; 3]>,
+        trust: impl Fn(usize, usize) -> f32,
     ) -> Option<Self> {
         let (width, height) = size;
         // NaN fails.
         if !(u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64) {
             return None;
         }
-        let (x, y) = (u.round() as usize, v.round() as usize);
+        let (x, y) = ((u.round() as usize).min(width - 1), (v.round() as usize).min(height - 1));
         work.clear();
         for y in y.saturating_sub(radius_px)..=(y + radius_px).min(height - 1) {
             for x in x.saturating_sub(radius_px)..=(x + radius_px).min(width - 1) {
@@ -76,16 +72,24 @@ impl SurfacePoint {
         }
         let plane = fit(work, 4)?;
         let ray = [fit(work, 2)?[0], fit(work, 3)?[0]];
-        let scatter = deviation(work, &plane);
-        work.clear();
-        for (row, y) in spaced(y, radius_px, height) {
-            for (column, x) in spaced(x, radius_px, width) {
-                let place = |[a, b, inverse]: [f64; 3]| [column, row, a, b, inverse];
-                work.extend(sample(x, y).map(place).filter(|s| (s[4] - median).abs() <= SAME_SURFACE * median));
+        let alone = deviation(work, &plane);
+        let confidence = Some(trust(x, y)).filter(|own| own.is_finite()).map(|own| own.clamp(0.0, 1.0));
+        let is_sure = |x, y| confidence.is_none_or(|own| trust(x, y) >= AS_SURE * own);
+        for all in [false, true] {
+            work.clear();
+            for (row, y) in spaced(y, radius_px, height) {
+                for (column, x) in spaced(x, radius_px, width).filter(|(_, x)| all || is_sure(*x, y)) {
+                    let place = |[a, b, inverse]: [f64; 3]| [column, row, a, b, inverse];
+                    work.extend(sample(x, y).map(place).filter(|s| (s[4] - median).abs() <= SAME_SURFACE * median));
+                }
+            }
+            if work.len() >= MIN_AROUND {
+                break;
             }
         }
         let around = if work.len() < MIN_AROUND { 0.0 } else { spread_around(work)? };
-        let place = Self { ray, inverse_depth: plane[0], scatter: scatter.hypot(around), confidence: None };
+        let scatter = ((around * around - alone * alone).max(0.0) + LEFT_ALONE * alone * alone).sqrt();
+        let place = Self { ray, inverse_depth: plane[0], scatter, confidence: confidence.map(f64::from) };
         (place.inverse_depth > 0.0).then_some(place)
     }
 }
@@ -100,6 +104,10 @@ const MIN_SHARE: f64 = 0.25;
 const AROUND_STEPS: usize = 5;
 /// Pixels further off the point's inverse depth than this, relative, are of another surface.
 const SAME_SURFACE: f64 = 0.15;
+/// Share of the point's confidence from which on a pixel further around is as sure.
+const AS_SURE: f32 = 0.9;
+/// Share of the variance of single pixels that the fitted plane keeps: their errors are not all independent.
+const LEFT_ALONE: f64 = 0.3;
 /// Fewer samples further around say nothing.
 const MIN_AROUND: usize = 9;
 
@@ -159,6 +167,8 @@ fn fit(samples: &[Sample], of: usize) -> Option<[f64; 3]> {
 
 #[cfg(test)]
 mod tests {
+    use panoscope_base::random::SplitMix64;
+
     use super::*;
 
     const SIZE: (usize, usize) = (200, 160);
@@ -167,11 +177,15 @@ mod tests {
 
     /// The point in the middle of a slanted plane with `off` beside it, radius 4 px.
     fn middle_of(off: impl Fn(f64, f64) -> f64) -> SurfacePoint {
+        trusted_middle(off, |_, _| f32::NAN)
+    }
+
+    fn trusted_middle(off: impl Fn(f64, f64) -> f64, trust: impl Fn(usize, usize) -> f32) -> SurfacePoint {
         let sample = |x: usize, y: usize| {
             let (x, y) = (x as f64, y as f64);
             Some([x / 700.0, y / 700.0, MIDDLE + 1e-5 * x + off(x, y)])
         };
-        SurfacePoint::at(SIZE, [100.0, 80.0], 4, &mut Vec::new(), sample).expect("a point")
+        SurfacePoint::at(SIZE, [100.0, 80.0], 4, &mut Vec::new(), sample, trust).expect("a point")
     }
 
     #[test]
@@ -194,5 +208,27 @@ mod tests {
     fn another_surface_around_does_not_count() {
         let point = middle_of(|x, _| if x > 110.0 { 0.5 * MIDDLE } else { 0.0 });
         assert!(point.scatter < 1e-12, "{}", point.scatter);
+    }
+
+    #[test]
+    fn what_is_matched_less_surely_around_does_not_count() {
+        // Waves beside the point, as in the blank squares of a printed board.
+        let waves = |x: f64, y: f64| if (x - 100.0).hypot(y - 80.0) > 6.0 { 1e-3 * (x / 3.0).sin() } else { 0.0 };
+        let stripes = |sure: f32, rest: f32| move |x: usize, _: usize| if x % 8 == 4 { sure } else { rest };
+        let is_doubted = trusted_middle(|x, y| if x as usize % 8 == 4 { 0.0 } else { waves(x, y) }, stripes(0.9, 0.5));
+        assert!(is_doubted.scatter < 1e-9 && is_doubted.confidence == Some(f64::from(0.9_f32)), "{is_doubted:?}");
+        let is_sure = trusted_middle(waves, |_, _| 0.9);
+        assert!(is_sure.scatter > 1e-4, "{is_sure:?}");
+    }
+
+    #[test]
+    fn errors_of_single_pixels_are_averaged_out() {
+        let height = 1e-4;
+        let mut random = SplitMix64(3);
+        // The sum of twelve even numbers is nearly normal.
+        let mut normal = || (0..12).map(|_| random.below(1000) as f64 / 1000.0 - 0.4995).sum::<f64>();
+        let noise: Vec<f64> = (0..SIZE.0 * SIZE.1).map(|_| height * normal()).collect();
+        let point = middle_of(|x, y| noise[y as usize * SIZE.0 + x as usize]);
+        assert!((0.4 * height..0.8 * height).contains(&point.scatter), "{}", point.scatter);
     }
 }

@@ -1,15 +1,15 @@
 //! Shipped graphs that the program contains, with their parts, so that measurements do not depend on the working
 //! folder.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use panoscope_graph::{GraphOptions, GraphText};
 
 macro_rules! shipped {
-    ($($file:literal)*) => { [$(($file, include_str!(concat!("../../../../graphs/", $file)))),*] };
+    ($($file:literal)*) => { [$(($file, include_str!(concat!("../../../graphs/", $file)))),*] };
 }
 
-const FILES: [(&str, &str); 9] = shipped![
+const FILES: [(&str, &str); 10] = shipped![
     "panorama.toml"
     "stitch_conventional.toml"
     "stitch_roi.toml"
@@ -19,15 +19,25 @@ const FILES: [(&str, &str); 9] = shipped![
     "parts/panorama_surf.toml"
     "parts/panorama_disparity.toml"
     "parts/panorama_grid.toml"
+    "parts/stereo_depth.toml"
 ];
+
+/// Path by which graphs that are opened with [`options`] name an embedded file; no file is read from its folder.
+pub fn path(file: &str) -> PathBuf {
+    let folder = Path::new("embedded-graphs");
+    std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned()).join(file)
+}
+
+/// Options with which graphs may have embedded files as parts.
+pub fn options() -> GraphOptions {
+    let texts = FILES.iter().map(|(name, text)| (path(name), (*text).to_owned())).collect();
+    GraphOptions { texts, ..GraphOptions::default() }
+}
 
 /// A graph by its path in the folder of graphs; `None` if the program does not contain it.
 pub fn graph(file: &str) -> Option<GraphText> {
-    // No file is read from this folder.
-    let folder = std::path::absolute(Path::new("embedded-graphs")).ok()?;
     let (_, text) = FILES.iter().find(|(name, _)| *name == file)?;
-    let texts = FILES.iter().map(|(name, text)| (folder.join(name), (*text).to_owned())).collect();
-    Some(GraphText::parse_with(&folder.join(file), text, &GraphOptions { texts, ..GraphOptions::default() }))
+    Some(GraphText::parse_with(&path(file), text, &options()))
 }
 
 #[cfg(test)]
