@@ -49,6 +49,11 @@ impl<'a> Mask<'a> {
             .chain((1..bottom).rev().map(|y| (0, y)))
     }
 
+    /// Whether any pixel of the border belongs to the mask.
+    pub fn touches_border(&self) -> bool {
+        self.border().any(|(x, y)| self.contains(x, y))
+    }
+
     /// Centre of the widest part of the border that the mask touches: where the shaft enters.
     fn entry(&self) -> Option<[f64; 2]> {
         let around = self.width.checked_mul(2)? + self.height * 2;

@@ -25,8 +25,9 @@ pub struct In<'f> {
     detections: Option<Detections<'f>>,
     /// Tools with masks; used instead of boxes.
     instances: Option<Instances<'f>>,
-    /// Image in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the
-    /// tip is the end of the box, wrong by up to half the box's width.
+    /// Image in which tools were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the
+    /// tip is the end of the box, wrong by up to half the box's width. The image also shows on which side the shaft of a box or mask goes on or leaves
+    /// the view: the tip is on the other one.
     image: Option<AnyImage<'f>>,
     /// Right rectified view of the same tick, bgr8. With it the depth of a segmented tool end is found by comparing both views. Tool ends are often
     /// thinner than a matcher's window, which returns the depth of the tissue there.
@@ -289,7 +290,10 @@ impl ToolTip {
             let (index, item) = wanted.filter(|(_, d)| may_lead(d)).max_by(order)?;
             tried[try_number] = index;
             let corners = moved(corners_of(item), shift);
-            let mut tip = tools.mask(index).and_then(|mask| self.finder.of_mask(mask));
+            let mut tip = tools.mask(index).and_then(|mask| {
+                let towards = if mask.touches_border() { None } else { self.away_from_shaft(corners, cues) };
+                self.finder.of_mask_towards(mask, towards)
+            });
             let mut is_cut = false;
             if tip.is_none() {
                 tip = self.cut_tip(corners, cues);
@@ -370,11 +374,20 @@ impl ToolTip {
         }
     }
 
+    /// Segments the instrument in a box. Returns its direction away from the side on which its shaft goes on or leaves the view, if the image shows it.
+    fn away_from_shaft(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<[f64; 2]> {
+        let is_cut = self.silhouette.cut(corners, cues);
+        let picture = cues.picture.as_ref().filter(|_| is_cut)?;
+        self.silhouette.shaft_direction(picture).map(|[x, y]| [-x, -y])
+    }
+
     /// The tip of the instrument in a box, if it can be segmented.
     fn cut_tip(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<TipPixel> {
-        let is_cut = self.silhouette.cut(corners, cues);
+        let away = self.away_from_shaft(corners, cues);
+        let is_cut = self.silhouette.has_instrument();
         let (width, height) = cues.size;
-        let towards = self.silhouette.is_by_colour().then(|| direction_of_box(corners, width, height));
+        let towards =
+            self.silhouette.is_by_colour().then(|| away.unwrap_or_else(|| direction_of_box(corners, width, height)));
         let tip = is_cut.then(|| self.finder.of_mask_towards(self.silhouette.mask(), towards)).flatten();
         tip.map(|tip| self.silhouette.place(tip))
     }

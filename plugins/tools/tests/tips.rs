@@ -151,6 +151,31 @@ fn a_tool_is_cut_out_of_its_box_by_picture_or_depth() -> Result<(), HarnessError
     Ok(())
 }
 
+#[test]
+fn the_tip_of_a_box_is_not_the_end_where_the_shaft_goes_on() -> Result<(), HarnessError> {
+    // The tip is near the left border, and the box covers only what is near the tip: the shaft goes on to the right.
+    for (tip, corners) in [([28.0, 62.0], [20.0, 34.0, 84.0, 72.0]), ([24.0, 96.0], [18.0, 60.0, 76.0, 104.0])] {
+        let (picture, _) = instrument(tip);
+        let [x0, y0, x1, y1] = corners;
+        let item = Detection {
+            x_px: x0,
+            y_px: y0,
+            width_px: x1 - x0,
+            height_px: y1 - y0,
+            score: 0.9,
+            class_index: 0,
+            track_id: -1,
+        };
+        let mut node = Harness::<ToolTip>::from_toml("")?;
+        node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+        node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+        let found: Tip = node.process()?.value("tip")?;
+        let off = (found.u_px - tip[0]).hypot(found.v_px - tip[1]);
+        assert!(off < 5.0, "{off} px off {tip:?}: {found:?}");
+    }
+    Ok(())
+}
+
 /// A bar of pale steel that mirrors the red around it, from the right border to a tip, on tissue of two kinds in patches of 6 px.
 fn mirroring_instrument([u, v]: [f64; 2]) -> Vec<u8> {
     let mut picture = Vec::with_capacity(3 * WIDTH * HEIGHT);

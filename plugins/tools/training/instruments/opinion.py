@@ -7,6 +7,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from .augment import lab_statistics, light, photometric
+from .data import CLASSES
 from .empty import INNER, NONE_BELOW, SOME_FROM, covered
 from .outlines import Mixed, Outlined, fit
 
@@ -35,6 +36,10 @@ class Scenes(Mixed):
         super().__init__(phantom, real, width, height, seed)
         # Every kind of empty pictures counts alike.
         self.groups = [group for group in groups if group]
+        # A bag has no shape: where nothing else is familiar, tissue looks like one. It is kept in real and rendered frames alone.
+        bag = CLASSES.index("specimen_bag")
+        self.donor_weights = self.donor_weights * [f.kinds[number - 1] != bag for f, number in self.donors]
+        self.donor_weights /= self.donor_weights.sum()
 
     def scene(self, number):
         rng = np.random.default_rng((self.seed, number))

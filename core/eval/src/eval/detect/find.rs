@@ -47,7 +47,7 @@ impl Node {
     pub fn tip_inputs(self, image: &str) -> String {
         match self {
             Self::Yolo => format!("detections = \"find.detections\", image = \"{image}\""),
-            Self::MaskRcnn => "instances = \"find.instances\"".to_owned(),
+            Self::MaskRcnn => format!("instances = \"find.instances\", image = \"{image}\""),
         }
     }
 

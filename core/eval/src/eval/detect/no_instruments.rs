@@ -122,7 +122,7 @@ fn one(
     model: &Path,
     settings: &[String],
 ) -> Result<(Vec<Vec<Find>>, usize)> {
-    let scratch = Folder::new("panoscope-empty")?;
+    let scratch = Folder::new("panoscope-empty-run")?;
     let text = format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
          [nodes.files]\ntype = \"capture\"\nparams = {{ left = {}, pace = \"off\", rate_hz = 1.0 }}\n{}\
