@@ -137,11 +137,6 @@ impl Silhouette {
         self.largest()
     }
 
-    /// Whether the last box had an instrument that can be distinguished.
-    pub fn has_instrument(&self) -> bool {
-        !self.bits.is_empty()
-    }
-
     /// The instrument's pixels, in cells: see [`Silhouette::place`].
     pub fn mask(&self) -> Mask<'_> {
         Mask::new(&self.bits, self.cells.region.width, self.cells.region.height)

@@ -291,7 +291,8 @@ impl ToolTip {
             tried[try_number] = index;
             let corners = moved(corners_of(item), shift);
             let mut tip = tools.mask(index).and_then(|mask| {
-                let towards = if mask.touches_border() { None } else { self.away_from_shaft(corners, cues) };
+                let is_shown = !mask.touches_border() && self.silhouette.cut(corners, cues);
+                let towards = is_shown.then(|| self.away_from_shaft(cues)).flatten();
                 self.finder.of_mask_towards(mask, towards)
             });
             let mut is_cut = false;
@@ -374,20 +375,18 @@ impl ToolTip {
         }
     }
 
-    /// Segments the instrument in a box. Returns its direction away from the side on which its shaft goes on or leaves the view, if the image shows it.
-    fn away_from_shaft(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<[f64; 2]> {
-        let is_cut = self.silhouette.cut(corners, cues);
-        let picture = cues.picture.as_ref().filter(|_| is_cut)?;
-        self.silhouette.shaft_direction(picture).map(|[x, y]| [-x, -y])
+    /// Direction of the instrument that was segmented last, away from the side on which its shaft goes on or leaves the view, if the image shows it.
+    fn away_from_shaft(&self, cues: &Cues<'_>) -> Option<[f64; 2]> {
+        self.silhouette.shaft_direction(cues.picture.as_ref()?).map(|[x, y]| [-x, -y])
     }
 
     /// The tip of the instrument in a box, if it can be segmented.
     fn cut_tip(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<TipPixel> {
-        let away = self.away_from_shaft(corners, cues);
-        let is_cut = self.silhouette.has_instrument();
+        let is_cut = self.silhouette.cut(corners, cues);
         let (width, height) = cues.size;
+        let of_box = || direction_of_box(corners, width, height);
         let towards =
-            self.silhouette.is_by_colour().then(|| away.unwrap_or_else(|| direction_of_box(corners, width, height)));
+            (is_cut && self.silhouette.is_by_colour()).then(|| self.away_from_shaft(cues).unwrap_or_else(of_box));
         let tip = is_cut.then(|| self.finder.of_mask_towards(self.silhouette.mask(), towards)).flatten();
         tip.map(|tip| self.silhouette.place(tip))
     }

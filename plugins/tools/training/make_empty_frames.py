@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Makes pictures without instruments for know_empty.py: drawn cavities, tissue of the phantom, and parts of real frames beside their instruments.
 
-    python3 make_empty_frames.py --out empty --data FRAMES --panoscope target/debug/panoscope
+    python3 make_empty_frames.py --out empty --data FRAMES --panoscope target/debug/panoscope --also FOLDER ...
 
-Writes the folders `cavities`, `crops` (with --data) and `tissue` (with --panoscope). All that is drawn or rendered has an even seed: `panoscope eval detect
---case no_instruments` scores on odd ones. Files that are there stay.
+Writes the folders `cavities`, `crops` (with --data) and `tissue` (with --panoscope). All that is drawn or rendered has an even seed, and of the pictures of
+--also the first, third and so on are taken: `panoscope eval detect --case no_instruments` scores on the others. Files that are there stay.
 """
 
 import argparse
@@ -92,6 +92,7 @@ def main():
     p.add_argument("--splits", nargs="+", default=["train", "val"])
     p.add_argument("--without", default="", help="operations of which no parts are taken, separated by commas")
     p.add_argument("--panoscope", type=Path, help="the program, for `tissue`")
+    p.add_argument("--also", type=Path, nargs="*", default=[], help="folders of pictures without instruments")
     p.add_argument("--cavities", type=int, default=300, help="number of drawn pictures")
     p.add_argument("--scenes", type=int, default=40, help="scenes of the phantom, of eight frames each")
     a = p.parse_args()
@@ -112,6 +113,12 @@ def main():
             rng = np.random.default_rng(sum(map(ord, f.name)))
             write(folder("crops") / f"{f.name}.jpg", part_without(cv2.imread(str(f.path)), f.size, f.boxes[:, 1:], rng))
         print(f"crops: {len(list(folder('crops').iterdir()))} of {len(frames)} frames", flush=True)
+    for number, source in enumerate(a.also):
+        pictures = sorted(path for path in source.iterdir() if path.suffix.lower() in (".png", ".jpg", ".jpeg"))
+        for path in pictures[::2]:
+            link = folder(f"also{number}") / path.name
+            if not link.exists():
+                link.symlink_to(path.resolve())
     for scene in range(a.scenes if a.panoscope else 0):
         into, seed = folder("tissue"), 2 * scene
         work = folder(f"work/scene{scene:03}")
