@@ -6,7 +6,7 @@
 
 Puts a second opinion into the file: two small layers on the features that the network makes of each box, whose answer only lowers the score of an
 instrument. They learn from pictures without instruments (--empty; each folder counts alike), from the same with instruments of the frames set into them along
-their outlines, and from frames as they are, where scores are to stay. Weights, boxes, outlines and metadata stay as they are. Seeds are fixed: the same data and
+their outlines, and from frames as they are, where scores are to stay. Weights, boxes, outlines and metadata stay as they are; an opinion that the file has already is replaced. Seeds are fixed: the same data and
 arguments give the same file. Needs PyTorch, onnx, onnxruntime, NumPy and OpenCV.
 """
 
@@ -40,7 +40,6 @@ def main():
     a = arguments()
     try:
         import cv2
-        import onnx
         import torch
 
         from instruments import empty, opinion
@@ -59,7 +58,7 @@ def main():
     groups = [opinion.empties(sorted(folder.iterdir()), width, height) for folder in a.empty]
     print(f"{len(real)} real and {len(phantom)} rendered frames, empty: {', '.join(str(len(g)) for g in groups)}", flush=True)
     scenes = opinion.Scenes(phantom, real, groups, width, height, a.seed)
-    model = onnx.load(str(a.model))
+    model = empty.without_opinion(a.model)
     rows = opinion.rows_of(reader, scenes, range(a.samples))
     for number, (tap, (features, logits, is_some)) in enumerate(zip(reader.taps, rows)):
         weights = opinion.learn((features, logits, is_some), seed=a.seed)

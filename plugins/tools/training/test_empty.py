@@ -19,7 +19,8 @@ class Empty(unittest.TestCase):
     def test_an_opinion_lowers_scores_by_what_it_says_and_changes_nothing_else(self):
         rng = np.random.default_rng(1)
         for name in ("instruments", "instrument_masks"):
-            model = onnx.load(str(MODELS / f"{name}.onnx"))
+            model = empty.without_opinion(MODELS / f"{name}.onnx")
+            self.assertLess(len(model.graph.node), len(onnx.load(str(MODELS / f"{name}.onnx")).graph.node))
             reader = empty.Reader(MODELS / f"{name}.onnx", 1)
             picture = frame(8, *reader.size)
             found = reader(picture)
@@ -37,7 +38,7 @@ class Empty(unittest.TestCase):
                     onnx.checker.check_model(changed)
                     onnx.save(changed, str(path))
                     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-                before = onnxruntime.InferenceSession(str(MODELS / f"{name}.onnx"), providers=["CPUExecutionProvider"])
+                before = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
                 x = picture.astype(np.float32).transpose(2, 0, 1)[None]
                 x = x if reader.is_detector else np.ascontiguousarray(x[:, ::-1]) / np.float32(255)
                 old, new = (dict(zip([o.name for o in s.get_outputs()], s.run(None, {"images": x}))) for s in (before, session))

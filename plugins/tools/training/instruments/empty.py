@@ -6,9 +6,7 @@ import cv2
 import numpy as np
 import onnx
 import onnxruntime
-from onnx import TensorProto, helper, numpy_helper
-
-from .familiar import placed
+from onnx import helper, numpy_helper
 
 #: Share of a box that instruments cover, below which it holds none, and from which it holds one.
 NONE_BELOW, SOME_FROM = 0.02, 0.15
@@ -46,15 +44,31 @@ def taps_of(graph):
     return [Tap([seconds[0].input[0], scores[0].input[0]], scores[0].output[0], 0, columns, True, False)]
 
 
+def without_opinion(path):
+    """The model at `path`, as it was before `insert`."""
+    model = onnx.load(str(path))
+    graph = model.graph
+    is_ours = lambda name: name.lstrip("/").startswith("empty")
+    lowered = {n.output[0]: n.input[0] for n in graph.node if is_ours(n.name) and n.output[0].endswith("_logits")}
+    for node in graph.node:
+        node.input[:] = [lowered.get(name, name) for name in node.input]
+    for values in (graph.node, graph.initializer):
+        kept = [value for value in values if not is_ours(value.name)]
+        del values[:]
+        values.extend(kept)
+    return model
+
+
 def proposals_of(graph):
+    """Name of a segmenter's proposals, N x 4."""
     return next(node.input[0] for node in graph.node if node.name.endswith("box_roi_pool/Concat"))
 
 
 class Reader:
-    """An exported network that also gives what its taps read, for each box that it half believes."""
+    """An exported network, without second opinion, that also gives what its taps read, for each box that it half believes."""
 
     def __init__(self, path, threads):
-        model = onnx.load(str(path))
+        model = without_opinion(path)
         self.taps = taps_of(model.graph)
         self.is_detector = self.taps[0].is_map
         self.size = [d.dim_value for d in model.graph.input[0].type.tensor_type.shape.dim][:1:-1]
@@ -118,10 +132,10 @@ def insert(graph, tap, number, weights):
     kind = "Conv" if tap.is_map else "Gemm"
     shape = (lambda w: w[:, :, None, None]) if tap.is_map else (lambda w: w.T)
     own, around = np.split(w1, 2, axis=1)
-    axes = [2, 3] if tap.is_map else [0]
+    mean, axes = ("GlobalAveragePool", {}) if tap.is_map else ("ReduceMean", {"axes": [0], "keepdims": 1})
     nodes = [
         helper.make_node("Concat", tap.features, [f"{name}_features"], f"/{name}/Concat", axis=1),
-        helper.make_node("ReduceMean", [f"{name}_features"], [f"{name}_mean"], f"/{name}/Mean", axes=axes, keepdims=1),
+        helper.make_node(mean, [f"{name}_features"], [f"{name}_mean"], f"/{name}/Mean", **axes),
         helper.make_node(kind, [f"{name}_features", stored("own", shape(own)), stored("b1", b1)], [f"{name}_own"], f"/{name}/Own"),
         helper.make_node(kind, [f"{name}_mean", stored("around", shape(around)), stored("b0", 0 * b1)], [f"{name}_around"], f"/{name}/Around"),
         helper.make_node("Add", [f"{name}_own", f"{name}_around"], [f"{name}_inner"], f"/{name}/Inner"),
