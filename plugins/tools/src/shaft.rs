@@ -4,7 +4,7 @@ mod axis;
 mod moments;
 
 pub use axis::ShaftAxis;
-use moments::Moments;
+pub(crate) use moments::Moments;
 
 /// A mask as bits: most significant first, rows padded to whole bytes.
 #[derive(Clone, Copy, Debug)]

@@ -4,6 +4,7 @@ use panoscope_node::View;
 
 use super::cells::{class_of, shade};
 use super::{GRAY, GROWS, Silhouette};
+use crate::shaft::Moments;
 
 /// Number of directions that are tried.
 const DIRECTIONS: usize = 48;
@@ -59,24 +60,10 @@ impl Silhouette {
     /// Middle and width of the instrument.
     fn extent(&self) -> Option<Extent> {
         let region = &self.cells.region;
-        let mask = self.mask();
-        let (mut n, mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-        for (column, row) in (0..region.height).flat_map(|row| (0..region.width).map(move |column| (column, row))) {
-            if mask.contains(column, row) {
-                let (u, v) = (column as f64, row as f64);
-                (n, x, y) = (n + 1.0, x + u, y + v);
-                (xx, xy, yy) = (xx + u * u, xy + u * v, yy + v * v);
-            }
-        }
-        if n == 0.0 {
-            return None;
-        }
-        let (x, y) = (x / n, y / n);
-        let (a, b, c) = (xx / n - x * x, xy / n - x * y, yy / n - y * y);
-        let minor = ((a + c - ((a - c).powi(2) + 4.0 * b * b).sqrt()) / 2.0).max(0.0);
-        let pitch = region.pitch as f64;
+        let moments = Moments::of(&self.mask())?;
+        let (pitch, [x, y]) = (region.pitch as f64, moments.centre);
         let middle = [region.x_px as f64 + (x + 0.5) * pitch, region.y_px as f64 + (y + 0.5) * pitch];
-        Some(Extent { middle, width: ((12.0 * minor).sqrt() * pitch).max(3.0) })
+        Some(Extent { middle, width: (moments.width() * pitch).max(3.0) })
     }
 
     /// How much more instrument there is on a line beyond the box than next to it, -1 to 1; [`LEAVES`] if the view ends where the instrument reaches the
