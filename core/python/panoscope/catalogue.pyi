@@ -2736,7 +2736,7 @@ class NodeTypes:
 
         detections: Boxes of tools in the left rectified view. Boxes of a detector that is slower than the camera (wired with `align = "latest"`) are moved along with the tip, and the tool is segmented in the image of this tick: a tip is as new as `image`, not as its box.
         instances: Tools with masks; used instead of boxes.
-        image: Image in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the tip is the end of the box, wrong by up to half the box's width.
+        image: Image in which tools were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the tip is the end of the box, wrong by up to half the box's width. The image also shows on which side the shaft of a box or mask goes on or leaves the view: the tip is on the other one.
         right: Right rectified view of the same tick, bgr8. With it the depth of a segmented tool end is found by comparing both views. Tool ends are often thinner than a matcher's window, which returns the depth of the tissue there.
         depth: Depth of the left rectified view, mm, for the position in space.
         disparity: Disparity of the left rectified view, px, used if no depth is connected. Connect the matcher's map: filters fill unmatched pixels and so mix a thin tool end with the tissue behind it.

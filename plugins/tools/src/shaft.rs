@@ -4,7 +4,7 @@ mod axis;
 mod moments;
 
 pub use axis::ShaftAxis;
-use moments::Moments;
+pub(crate) use moments::Moments;
 
 /// A mask as bits: most significant first, rows padded to whole bytes.
 #[derive(Clone, Copy, Debug)]
@@ -47,6 +47,11 @@ impl<'a> Mask<'a> {
             .chain((1..h).map(move |y| (right, y)))
             .chain((0..right).rev().map(move |x| (x, bottom)))
             .chain((1..bottom).rev().map(|y| (0, y)))
+    }
+
+    /// Whether any pixel of the border belongs to the mask.
+    pub fn touches_border(&self) -> bool {
+        self.border().any(|(x, y)| self.contains(x, y))
     }
 
     /// Centre of the widest part of the border that the mask touches: where the shaft enters.

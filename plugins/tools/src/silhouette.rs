@@ -5,6 +5,7 @@
 //! instrument and of this tissue, as in GrabCut (Rother, Kolmogorov, Blake 2004) with histograms instead of mixtures and without a cut; the largest
 //! connected part in the box is the instrument.
 
+mod beyond;
 mod cells;
 mod plane;
 
@@ -55,6 +56,8 @@ pub struct Silhouette {
     is_in_box: Vec<bool>,
     /// Whether colours alone distinguish the instrument, because nearness is unknown.
     is_by_colour: bool,
+    /// Redness of the tissue around the box: median and standard deviation.
+    tissue: Option<(f32, f32)>,
     /// Score for an instrument, and the score before colours were learned.
     score: Vec<f32>,
     first: Vec<f32>,
@@ -196,15 +199,15 @@ impl Silhouette {
 
     /// Adds the score of redness: less red than around the box indicates an instrument.
     fn judge_redness(&mut self) -> bool {
-        let Self { cells: Cells { redness, .. }, is_in_box, sorted, score, gray, .. } = self;
+        let Self { cells: Cells { redness, .. }, is_in_box, sorted, score, gray, tissue, .. } = self;
         gray.clear();
         gray.resize(redness.len(), f32::NAN);
         let outside =
             || redness.iter().zip(&*is_in_box).filter(|(_, is_in_box)| !**is_in_box).map(|(redness, _)| *redness);
         // A box as large as the picture has nothing around it: then most of it is tissue.
         let around = median(sorted, outside()).or_else(|| median(sorted, redness.iter().copied()));
-        let Some((centre, deviation)) = around else { return false };
-        let deviation = deviation.max(REDNESS_FLOOR);
+        *tissue = around.map(|(centre, deviation)| (centre, deviation.max(REDNESS_FLOOR)));
+        let Some((centre, deviation)) = *tissue else { return false };
         for ((score, gray), redness) in score.iter_mut().zip(gray).zip(redness.iter()).filter(|(_, r)| r.is_finite()) {
             *gray = (centre - redness) / deviation;
             *score += gray.clamp(MAX_AGAINST, MAX_FOR);

@@ -25,8 +25,9 @@ pub struct In<'f> {
     detections: Option<Detections<'f>>,
     /// Tools with masks; used instead of boxes.
     instances: Option<Instances<'f>>,
-    /// Image in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the
-    /// tip is the end of the box, wrong by up to half the box's width.
+    /// Image in which tools were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the
+    /// tip is the end of the box, wrong by up to half the box's width. The image also shows on which side the shaft of a box or mask goes on or leaves
+    /// the view: the tip is on the other one.
     image: Option<AnyImage<'f>>,
     /// Right rectified view of the same tick, bgr8. With it the depth of a segmented tool end is found by comparing both views. Tool ends are often
     /// thinner than a matcher's window, which returns the depth of the tissue there.
@@ -289,7 +290,11 @@ impl ToolTip {
             let (index, item) = wanted.filter(|(_, d)| may_lead(d)).max_by(order)?;
             tried[try_number] = index;
             let corners = moved(corners_of(item), shift);
-            let mut tip = tools.mask(index).and_then(|mask| self.finder.of_mask(mask));
+            let mut tip = tools.mask(index).and_then(|mask| {
+                let is_shown = !mask.touches_border() && self.silhouette.cut(corners, cues);
+                let towards = is_shown.then(|| self.away_from_shaft(cues)).flatten();
+                self.finder.of_mask_towards(mask, towards)
+            });
             let mut is_cut = false;
             if tip.is_none() {
                 tip = self.cut_tip(corners, cues);
@@ -370,11 +375,18 @@ impl ToolTip {
         }
     }
 
+    /// Direction of the instrument that was segmented last, away from the side on which its shaft goes on or leaves the view, if the image shows it.
+    fn away_from_shaft(&self, cues: &Cues<'_>) -> Option<[f64; 2]> {
+        self.silhouette.shaft_direction(cues.picture.as_ref()?).map(|[x, y]| [-x, -y])
+    }
+
     /// The tip of the instrument in a box, if it can be segmented.
     fn cut_tip(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<TipPixel> {
         let is_cut = self.silhouette.cut(corners, cues);
         let (width, height) = cues.size;
-        let towards = self.silhouette.is_by_colour().then(|| direction_of_box(corners, width, height));
+        let of_box = || direction_of_box(corners, width, height);
+        let towards =
+            (is_cut && self.silhouette.is_by_colour()).then(|| self.away_from_shaft(cues).unwrap_or_else(of_box));
         let tip = is_cut.then(|| self.finder.of_mask_towards(self.silhouette.mask(), towards)).flatten();
         tip.map(|tip| self.silhouette.place(tip))
     }

@@ -151,6 +151,73 @@ fn a_tool_is_cut_out_of_its_box_by_picture_or_depth() -> Result<(), HarnessError
     Ok(())
 }
 
+#[test]
+fn the_tip_of_a_box_is_not_the_end_where_the_shaft_goes_on() -> Result<(), HarnessError> {
+    // The tip is near the left border, and the box covers only what is near the tip: the shaft goes on to the right.
+    for (tip, corners) in [([28.0, 62.0], [20.0, 34.0, 84.0, 72.0]), ([24.0, 96.0], [18.0, 60.0, 76.0, 104.0])] {
+        let (picture, _) = instrument(tip);
+        let [x0, y0, x1, y1] = corners;
+        let item = Detection {
+            x_px: x0,
+            y_px: y0,
+            width_px: x1 - x0,
+            height_px: y1 - y0,
+            score: 0.9,
+            class_index: 0,
+            track_id: -1,
+        };
+        let mut node = Harness::<ToolTip>::from_toml("")?;
+        node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+        node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+        let found: Tip = node.process()?.value("tip")?;
+        let off = (found.u_px - tip[0]).hypot(found.v_px - tip[1]);
+        assert!(off < 5.0, "{off} px off {tip:?}: {found:?}");
+    }
+    Ok(())
+}
+
+/// Red tissue in a round field of view, dark around it, with a gray instrument from the field's left rim to a tip. Returns the image, bgr8, and the
+/// instrument's mask.
+fn round_field(middle: [f64; 2], radius: f64, tip: [f64; 2]) -> (Vec<u8>, Vec<u8>) {
+    let (mut picture, mut mask) = (Vec::new(), vec![0_u8; detections::mask_len(WIDTH, HEIGHT)]);
+    for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
+        let is_lit = (x as f64 - middle[0]).hypot(y as f64 - middle[1]) < radius;
+        let is_tool = is_lit && x as f64 <= tip[0] && (y as f64 - tip[1]).abs() <= 6.0;
+        let grain = ((x * 31 + y * 17 + x * y) % 19) as u8;
+        picture.extend(match (is_lit, is_tool) {
+            (false, _) => [2, 2, 2],
+            (true, true) => [120 + grain, 122 + grain, 126 + grain],
+            (true, false) => [60 + grain, 72 + grain, 165 + grain],
+        });
+        if is_tool {
+            mask[y * WIDTH.div_ceil(8) + x / 8] |= 0x80 >> (x % 8);
+        }
+    }
+    (picture, mask)
+}
+
+#[test]
+fn a_shaft_enters_at_the_rim_of_a_round_field_not_at_the_nearer_border() -> Result<(), HarnessError> {
+    // The field ends 52 px from the left border of the image and close to the right one, towards which the tip points.
+    let tip = [122.0, 60.0];
+    let (picture, mask) = round_field([106.0, 60.0], 54.0, tip);
+    let item =
+        Detection { x_px: 54.0, y_px: 40.0, width_px: 74.0, height_px: 40.0, score: 0.9, class_index: 0, track_id: -1 };
+    for with_mask in [false, true] {
+        let mut node = Harness::<ToolTip>::from_toml("")?;
+        if with_mask {
+            node.input_instances("instances", &[item], "hook", (WIDTH, HEIGHT), &mask);
+        } else {
+            node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+        }
+        node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+        let found: Tip = node.process()?.value("tip")?;
+        let off = (found.u_px - tip[0]).hypot(found.v_px - tip[1]);
+        assert!(off < 4.0, "mask {with_mask}: {off} px off: {found:?}");
+    }
+    Ok(())
+}
+
 /// A bar of pale steel that mirrors the red around it, from the right border to a tip, on tissue of two kinds in patches of 6 px.
 fn mirroring_instrument([u, v]: [f64; 2]) -> Vec<u8> {
     let mut picture = Vec::with_capacity(3 * WIDTH * HEIGHT);

@@ -53,6 +53,11 @@ fn the_segmenter_passes_its_tests() {
 }
 
 #[test]
+fn what_is_no_instrument_passes_its_tests() {
+    passes("test_empty", &["torch", "cv2", "numpy", "onnx", "onnxruntime"]);
+}
+
+#[test]
 fn the_stereo_network_passes_its_tests() {
     passes_in("../stereo/training", "test_matcher", &["torch", "cv2", "numpy", "onnx", "onnxruntime"]);
 }

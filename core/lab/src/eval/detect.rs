@@ -21,7 +21,7 @@ enum SelfCheck {
 pub struct Arguments {
     /// Cases to run; repeatable. Default: all of `test` (official test split), `left_out` (whole operations that the
     /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the
-    /// phantom).
+    /// phantom), `no_instruments` (boxes, outlines and tips per 100 images without instruments).
     #[arg(long, value_parser = detect::CASES)]
     case: Vec<String>,
     /// Detector; default: the shipped one.
@@ -63,7 +63,8 @@ pub struct Arguments {
     /// Split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
     #[arg(long, value_name = "NAME")]
     split: Option<String>,
-    /// Folder of the images of --truth, if they are not next to it.
+    /// Folder of the images of --truth, if they are not next to it. With the case `no_instruments`: your own images
+    /// without instruments, instead of rendered ones and those of the data sets.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
     /// Folder of data sets, searched before the default ones; repeatable.

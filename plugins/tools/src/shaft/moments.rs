@@ -3,8 +3,8 @@
 use super::{END_PX, END_SHARE, End, Mask, TipPixel};
 
 /// Centre and main direction of a mask.
-pub(super) struct Moments {
-    pub(super) centre: [f64; 2],
+pub(crate) struct Moments {
+    pub(crate) centre: [f64; 2],
     /// Unit vector along the largest variance.
     pub(super) main: [f64; 2],
     /// Sum of both variances, and their difference.
@@ -14,7 +14,7 @@ pub(super) struct Moments {
 
 impl Moments {
     /// `None` for an empty mask.
-    pub(super) fn of(mask: &Mask<'_>) -> Option<Self> {
+    pub(crate) fn of(mask: &Mask<'_>) -> Option<Self> {
         let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         mask.each(&mut |x, y| {
             n += 1.0;
@@ -37,6 +37,11 @@ impl Moments {
     /// Whether the larger variance is at least `ratio` times the smaller one.
     pub(super) fn is_longer(&self, ratio: f64) -> bool {
         self.sum + self.spread >= ratio * (self.sum - self.spread).max(0.0)
+    }
+
+    /// Width of a bar with the mask's smaller variance, px.
+    pub(crate) fn width(&self) -> f64 {
+        (6.0 * (self.sum - self.spread).max(0.0)).sqrt()
     }
 
     /// Smallest and largest position of the mask along an axis through the centre, px.

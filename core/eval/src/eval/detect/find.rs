@@ -30,8 +30,14 @@ impl Node {
 
     /// The node `find` in a graph's text, with a model and its own parameters, on the output `image`.
     pub fn text(self, image: &str, model: &Path) -> String {
+        self.text_with(image, model, &[])
+    }
+
+    /// As [`Self::text`], with further parameters (`param = value`).
+    pub fn text_with(self, image: &str, model: &Path, settings: &[String]) -> String {
+        let params: String = settings.iter().map(|setting| format!(", {setting}")).collect();
         format!(
-            "[nodes.find]\ntype = \"{}\"\nbudget_ms = 60000\ninputs = {{ image = \"{image}\" }}\nparams = {{ model = {} }}\n",
+            "[nodes.find]\ntype = \"{}\"\nbudget_ms = 60000\ninputs = {{ image = \"{image}\" }}\nparams = {{ model = {}{params} }}\n",
             self.name(),
             quoted(model)
         )
@@ -41,11 +47,12 @@ impl Node {
     pub fn tip_inputs(self, image: &str) -> String {
         match self {
             Self::Yolo => format!("detections = \"find.detections\", image = \"{image}\""),
-            Self::MaskRcnn => "instances = \"find.instances\"".to_owned(),
+            Self::MaskRcnn => format!("instances = \"find.instances\", image = \"{image}\""),
         }
     }
 
-    fn port(self) -> &'static str {
+    /// Its output.
+    pub fn port(self) -> &'static str {
         match self {
             Self::Yolo => "detections",
             Self::MaskRcnn => "instances",

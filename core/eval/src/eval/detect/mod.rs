@@ -6,6 +6,7 @@
 mod find;
 pub mod folds;
 mod judged;
+mod no_instruments;
 mod phantom;
 mod picture;
 mod real_tips;
@@ -39,7 +40,8 @@ pub enum SelfCheck {
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The cases to evaluate; if empty, all: `test` (official test split), `left_out` (whole operations that the model
-    /// never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
+    /// never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom),
+    /// `no_instruments` (false finds).
     pub cases: Vec<String>,
     /// Detector; default: the shipped one.
     pub model: Option<PathBuf>,
@@ -54,7 +56,7 @@ pub struct Options {
     pub truth: Option<PathBuf>,
     /// Split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
     pub split: Option<String>,
-    /// Folder of the images of --truth, if they are not next to it.
+    /// Folder of the images of --truth, if they are not next to it; of the case `no_instruments` its own images.
     pub images: Option<PathBuf>,
     /// Folders of data sets, searched before the default ones.
     pub data: Vec<PathBuf>,
@@ -69,7 +71,7 @@ pub struct Options {
 }
 
 /// Names of the cases.
-pub const CASES: [&str; 5] = ["test", "left_out", "polygons", "phantom", "tips"];
+pub const CASES: [&str; 6] = ["test", "left_out", "polygons", "phantom", "tips", "no_instruments"];
 
 /// Default folders of data sets.
 fn usual_data() -> impl Iterator<Item = PathBuf> {
@@ -329,6 +331,53 @@ impl Judge<'_> {
         Ok(())
     }
 
+    /// Counts what the nodes find in images without instruments.
+    fn no_instruments(&mut self) -> Result<()> {
+        let scratch = Folder::new("panoscope-empty")?;
+        let mut sources = Vec::new();
+        if let Some(own) = &self.options.images {
+            sources.push(("images", no_instruments::folder(own, false)?));
+        } else {
+            sources.push(("rendered", no_instruments::rendered(self.session, &scratch)?));
+            for (path, name) in no_instruments::FOLDERS {
+                if let Some(folder) = self.data("no_instruments", path) {
+                    sources.push((name, no_instruments::folder(&folder, true)?));
+                }
+            }
+        }
+        let models = [self.detector(), self.segmenter()];
+        for (name, mut truth) in sources {
+            let models = models.each_ref().map(Option::as_deref);
+            let found = no_instruments::run(self.session, &mut truth, models, &self.options.settings)?;
+            if let Some(folder) = &self.options.pictures {
+                no_instruments::draw(folder, name, &truth, &found)?;
+            }
+            let frames = truth.pictures.len();
+            for (what, finds) in [("boxes", &found.boxes), ("masks", &found.masks)] {
+                let (count, with, classes) = no_instruments::counts(&truth, finds);
+                self.report_false(&format!("{what}/{name}"), (count, with), frames, &classes);
+            }
+            for (what, count) in ["box_tips", "mask_tips"].iter().zip(found.tips) {
+                self.report_false(&format!("{what}/{name}"), (count, count), frames, "");
+            }
+            check_cancelled(self.session)?;
+        }
+        Ok(())
+    }
+
+    /// Reports `count` false finds, in `with` of `frames` images, and adds them per 100 images.
+    fn report_false(&mut self, name: &str, (count, with): (usize, usize), frames: usize, classes: &str) {
+        let [low, high] = no_instruments::interval(with, frames).map(|share| 100.0 * share);
+        let share = 100.0 * with as f64 / frames.max(1) as f64;
+        note!(
+            self.session,
+            "false {name}: {count} in {with} of {frames} images ({share:.1} %, 95 % interval {low:.1} to {high:.1} %) {classes}"
+        );
+        let input = format!("{frames} images without instruments");
+        let per_hundred = 100.0 * count as f64 / frames.max(1) as f64;
+        self.figures.push(Figure::new(&format!("false_{name}"), per_hundred, "1/100 images", &input));
+    }
+
     fn report_tips(&mut self, name: &str, tips: &Tips, input: &str) {
         let found = tips.errors_px.len();
         let in_space = if tips.errors_mm.is_empty() {
@@ -409,6 +458,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
                 "left_out" => judge.held_out()?,
                 "polygons" => judge.polygons()?,
                 "phantom" => judge.phantom()?,
+                "no_instruments" => judge.no_instruments()?,
                 _ => judge.tips()?,
             }
             check_cancelled(session)?;

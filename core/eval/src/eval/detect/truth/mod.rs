@@ -102,6 +102,15 @@ fn size_of(path: &Path) -> Result<(usize, usize)> {
     Ok((w as usize, h as usize))
 }
 
+/// The images of a folder, by name, without objects.
+pub fn sizes_of(folder: &Path) -> Result<Vec<Picture>> {
+    let pictures = files(folder, &PICTURES).into_iter().map(|path| {
+        let (width, height) = size_of(&path)?;
+        Ok(Picture { path, width, height, objects: Vec::new() })
+    });
+    pictures.collect()
+}
+
 /// Maximum number of pixels of an image; a mask has a bit for each.
 const MAX_PIXELS: u64 = 1 << 28;
 
