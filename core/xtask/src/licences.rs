@@ -54,7 +54,28 @@ fn terms(folder: &Path) -> Result<Vec<String>> {
 
 #[cfg(test)]
 mod tests {
+    use spdx::{Expression, LicenseReq};
+
     use super::*;
+    use crate::package::spdx;
+
+    #[test]
+    fn every_linked_crate_has_a_licence_that_is_allowed() {
+        let workspace = Workspace::locate().unwrap();
+        let rules: toml::Table = fs::read_to_string(workspace.root.join(".cargo/deny.toml")).unwrap().parse().unwrap();
+        let allowed: Vec<&str> =
+            rules["licenses"]["allow"].as_array().unwrap().iter().filter_map(toml::Value::as_str).collect();
+        let is_allowed = |asked: &LicenseReq| allowed.contains(&asked.to_string().as_str());
+        let fits = |licence: &str| Expression::parse(&spdx(licence)).is_ok_and(|terms| terms.evaluate(is_allowed));
+        assert!(fits("MIT/Apache-2.0") && fits("GPL-3.0-only OR MIT") && !fits("GPL-3.0-only AND MIT"));
+        let wrong: Vec<_> = linked(&workspace)
+            .unwrap()
+            .into_iter()
+            .filter(|one| !one.licence.as_deref().is_some_and(fits))
+            .map(|one| format!("{}: {}", one.title(), one.licence.as_deref().unwrap_or("none")))
+            .collect();
+        assert!(wrong.is_empty(), "not in .cargo/deny.toml: {wrong:#?}");
+    }
 
     #[test]
     fn fonts_and_crates_of_the_windows_have_their_terms() {

@@ -155,18 +155,22 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             install::install(&Workspace::locate()?, dir.as_ref(), Profile::Release, symbols)?;
         }
         "package" => {
-            setup::ensure(&[Purpose::Build, Purpose::Package])?;
             let workspace = Workspace::locate()?;
             let Packaging { dir, profile, checks } = Packaging::read(&workspace, "package", rest)?;
+            setup::ensure(if checks {
+                &[Purpose::Build, Purpose::Package, Purpose::Check]
+            } else {
+                &[Purpose::Build, Purpose::Package]
+            })?;
             let package = package::package(&workspace, &dir, profile)?;
             if checks {
                 package::check(&workspace, &package, &dir)?;
             }
         }
         "wheel" => {
-            setup::ensure(&[Purpose::Build])?;
             let workspace = Workspace::locate()?;
             let Packaging { dir, profile, checks } = Packaging::read(&workspace, "wheel", rest)?;
+            setup::ensure(if checks { &[Purpose::Build, Purpose::Check] } else { &[Purpose::Build] })?;
             let wheel = package::wheel(&workspace, &dir, profile)?;
             if checks {
                 package::check_wheel(&workspace, &wheel, &dir)?;

@@ -23,12 +23,14 @@ pub enum Purpose {
     Screens,
     /// Building packages.
     Package,
+    /// A minimal system in which packages are checked; without it they are not.
+    Check,
 }
 
 impl Purpose {
     /// Whether packages of this purpose are optional.
     pub fn is_optional(self) -> bool {
-        matches!(self, Self::Test)
+        matches!(self, Self::Test | Self::Check)
     }
 }
 
@@ -179,6 +181,12 @@ pub static PACKAGES: &[Package] = &[
         Evidence::Program("strip"),
     ),
     package(Purpose::Package, "librsvg2-bin", [None, None, None], Evidence::Program("rsvg-convert")),
+    package(
+        Purpose::Check,
+        "debootstrap",
+        [Some("debootstrap"), Some("debootstrap"), None],
+        Evidence::AnyFile(&["/usr/sbin/debootstrap", "/usr/bin/debootstrap"]),
+    ),
     package(Purpose::Test, "opencv-doc", [None, None, None], Evidence::AnyFile(&[OPENCV_DOC_DATA])),
     package(
         Purpose::Test,

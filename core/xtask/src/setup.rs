@@ -69,11 +69,9 @@ fn without(system: System, absent: &[&Package], why: Option<String>) -> Result<O
         bail!("missing: {}\nto install: {}{why}", names(System::Debian, &needed), advice(system, &needed));
     }
     if !optional.is_empty() {
-        let effect = if optional.iter().any(|package| package.purpose == Purpose::Test) {
-            "tests that need it skip"
-        } else {
-            "its figures are left out"
-        };
+        let is_for = |purpose| optional.iter().any(|package| package.purpose == purpose);
+        let effect =
+            if is_for(Purpose::Test) { "tests that need it skip" } else { "packages are not checked in a bare system" };
         eprintln!("note: going on without {} ({effect})", names(System::Debian, &optional));
         if let Some(why) = why {
             eprintln!("note: {}", process::tail(&why, 3));

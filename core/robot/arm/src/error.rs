@@ -12,7 +12,7 @@ pub enum ArmError {
         reason: String,
     },
     /// A required link is missing.
-    #[error("the arm's description has no link `{link}`: name {what} so")]
+    #[error("the arm's description has no link `{link}`: give {what} this name")]
     NoLink {
         /// Name of the link.
         link: &'static str,

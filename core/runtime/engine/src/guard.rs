@@ -51,7 +51,7 @@ pub(crate) enum CallError {
         seconds: f64,
     },
     /// No thread could be started for the call.
-    #[error("no thread could be started for it: {cause}")]
+    #[error("a thread for the call could not be started: {cause}")]
     Thread {
         /// The system's error.
         cause: std::io::Error,

@@ -63,6 +63,8 @@ impl Rate {
 
 #[cfg(test)]
 mod tests {
+    use panoscope_base::random::SplitMix64;
+
     use super::*;
 
     /// The ticks at which a node is called, of a source with these capture times.
@@ -95,12 +97,8 @@ mod tests {
     fn a_rate_that_does_not_divide_the_source_is_met_on_average() {
         let calls_of = |hz: f64, capture: Vec<i64>| calls(&mut limited(hz, 0, true), capture).len();
         assert_eq!(calls_of(15.0, at_hz(25.0, 250).collect()), 150);
-        let mut random = 7u64;
-        let mut jitter = || {
-            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (random >> 33) as i64 % 2_000_000 - 1_000_000
-        };
-        let shaken: Vec<i64> = at_hz(60.0, 600).map(|ns| ns + jitter()).collect();
+        let mut random = SplitMix64(7);
+        let shaken: Vec<i64> = at_hz(60.0, 600).map(|ns| ns + random.below(2_000_000) as i64 - 1_000_000).collect();
         assert!((149..=150).contains(&calls_of(15.0, shaken)));
     }
 

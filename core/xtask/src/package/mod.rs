@@ -23,6 +23,8 @@ use crate::workspace::Workspace;
 use tree::{copy, copy_tree};
 
 pub use check::check;
+#[cfg(test)]
+pub use sbom::spdx;
 pub use wheel::{check_wheel, wheel};
 
 /// Files that a package manager installs into system folders; the tar file has them among the documents.

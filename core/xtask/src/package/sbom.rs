@@ -74,7 +74,7 @@ fn document(crates: &[Crate], checksums: &BTreeMap<(String, String), String>, mo
 }
 
 /// The licence as an expression of SPDX: old manifests separate alternatives by `/`.
-fn spdx(licence: &str) -> String {
+pub fn spdx(licence: &str) -> String {
     licence.split('/').map(str::trim).collect::<Vec<_>>().join(" OR ")
 }
 

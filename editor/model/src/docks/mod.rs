@@ -87,13 +87,13 @@ impl Panel {
 /// A side of a panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// Left of it.
+    /// Left of the panel.
     Left,
-    /// Right of it.
+    /// Right of the panel.
     Right,
-    /// Above it.
+    /// Above the panel.
     Above,
-    /// Below it.
+    /// Below the panel.
     Below,
 }
 

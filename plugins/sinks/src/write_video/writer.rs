@@ -49,7 +49,7 @@ pub struct Picture<'a> {
 
 /// When the frames of a file are shown.
 enum Pace {
-    /// Each at its own time.
+    /// Each frame at its capture time.
     Timed(Timeline),
     /// At a constant rate: frames are repeated if they are further apart.
     Repeated {

@@ -44,7 +44,7 @@ pub type LoadFn = fn(image: &Path, file: &Path) -> Result<Vec<&'static NodeType>
 #[derive(Clone, Debug, thiserror::Error)]
 pub(super) enum NoNodeType {
     /// The host has not sent its plugin.
-    #[error("its plugin did not arrive in its process")]
+    #[error("the host has not sent its plugin to this process")]
     NoPlugin,
     /// Its plugin cannot be loaded.
     #[error(transparent)]

@@ -18,7 +18,7 @@ pub struct VocObject {
 pub struct Voc {
     /// Width and height in the file, px; each `None` if missing.
     pub size: [Option<f64>; 2],
-    /// Its objects.
+    /// Boxes with their classes, one per `object` element.
     pub objects: Vec<VocObject>,
 }
 

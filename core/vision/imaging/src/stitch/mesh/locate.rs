@@ -7,7 +7,7 @@ use crate::Rect;
 /// A mesh relative to an output image, whose pixel `(x, y)` is at `origin + step * (x, y)` on the reference plane.
 #[derive(Clone, Copy, Debug)]
 pub struct MeshGrid<'a> {
-    /// The mesh.
+    /// The mesh whose triangles are searched.
     pub mesh: &'a Mesh,
     /// Position of pixel `(0, 0)` on the reference plane, px.
     pub origin: [f32; 2],
