@@ -8,7 +8,7 @@ use panoscope_engine::Report;
 use panoscope_engine::text_table::table;
 use panoscope_graph::{GraphOptions, GraphText};
 use panoscope_host::loader::graph_file;
-use panoscope_record::timeline::{self, Budget, Calls, Timeline, Waits, work_tables};
+use panoscope_record::timeline::{self, Beside, Budget, Calls, Timeline, Waits, work_tables};
 use toml::{Table, Value};
 
 use crate::error::{Context, Result};
@@ -106,6 +106,17 @@ fn show_budget(session: &dyn Session, run: &Run, text: &str, path: &Path) -> Res
             budget.total_ms
         );
         session.table(&budget.text());
+    }
+    if let Some((budget, beside)) = sinks.first().and_then(|(sink, _)| Budget::of_slowest(&calls, &waits, sink)) {
+        note!(
+            session,
+            "its slowest hundredth at `{}`, {} pictures, {:.2} ms, and what ran while they waited (sources wait for light):",
+            budget.sink,
+            budget.pictures,
+            budget.total_ms
+        );
+        session.table(&budget.text());
+        session.table(&Beside::text(&beside));
     }
     let [moved, threads] = work_tables(&calls, run.report.frames);
     note!(session, "bytes per picture, and their rate while the node works:");

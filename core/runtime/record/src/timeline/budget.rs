@@ -83,29 +83,28 @@ impl Waits {
 impl Budget {
     /// The budget of the frames that `sink` received; `None` if the timeline has none of them from the source on.
     pub fn of(calls: &Calls, waits: &Waits, sink: &str) -> Option<Self> {
-        let positions: Vec<Option<usize>> = calls.nodes.iter().map(|node| waits.position(node)).collect();
-        let producers = waits.producers();
-        let mut by_tick: HashMap<(u32, u64), HashMap<usize, Call>> = HashMap::new();
-        for call in calls.calls.iter().filter(|call| call.made) {
-            if let Some(node) = positions[call.node as usize] {
-                by_tick.entry((call.source, call.seq)).or_default().insert(node, *call);
-            }
-        }
-        let sink_at = waits.position(sink)?;
-        let mut sums = vec![Sum::default(); waits.0.len()];
-        let (mut pictures, mut total_ns) = (0, 0);
-        for of_tick in by_tick.values() {
-            let Some((steps, time_ns)) = chain(of_tick, &producers, sink_at) else { continue };
-            pictures += 1;
-            total_ns += time_ns;
-            for Step { node, wait_ns, work_ns } in steps {
-                let sum = &mut sums[node];
-                *sum =
-                    Sum { pictures: sum.pictures + 1, wait_ns: sum.wait_ns + wait_ns, work_ns: sum.work_ns + work_ns };
-            }
-        }
+        Self::mean(sink, waits, &chains(calls, waits, sink))
+    }
+
+    /// The budget of the slowest hundredth of the frames that `sink` received, at least one, and what ran while their chains waited; `None` as
+    /// for [`Budget::of`].
+    pub fn of_slowest(calls: &Calls, waits: &Waits, sink: &str) -> Option<(Self, Vec<Beside>)> {
+        let mut chains = chains(calls, waits, sink);
+        chains.sort_by_key(|chain| std::cmp::Reverse(chain.time_ns));
+        chains.truncate(chains.len().div_ceil(100));
+        Some((Self::mean(sink, waits, &chains)?, Beside::of(calls, &chains)))
+    }
+
+    /// Means over some frames.
+    fn mean(sink: &str, waits: &Waits, chains: &[Chain]) -> Option<Self> {
+        let pictures = chains.len();
         if pictures == 0 {
             return None;
+        }
+        let mut sums = vec![Sum::default(); waits.0.len()];
+        for Step { node, wait_ns, work_ns, .. } in chains.iter().flat_map(|chain| &chain.steps) {
+            let sum = &mut sums[*node];
+            *sum = Sum { pictures: sum.pictures + 1, wait_ns: sum.wait_ns + wait_ns, work_ns: sum.work_ns + work_ns };
         }
         let ms = |ns: u64| ns as f64 / 1e6 / pictures as f64;
         let shares = waits.0.iter().zip(&sums).filter(|(_, sum)| sum.pictures > 0).map(|((node, _), sum)| Share {
@@ -114,7 +113,8 @@ impl Budget {
             wait_ms: ms(sum.wait_ns),
             work_ms: ms(sum.work_ns),
         });
-        Some(Self { sink: sink.to_owned(), pictures, total_ms: ms(total_ns), shares: shares.collect() })
+        let total_ms = ms(chains.iter().map(|chain| chain.time_ns).sum());
+        Some(Self { sink: sink.to_owned(), pictures, total_ms, shares: shares.collect() })
     }
 
     /// The budget as a table.
@@ -130,15 +130,73 @@ impl Budget {
     }
 }
 
+/// Calls of one node that ran while chains of calls waited.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Beside {
+    /// The node.
+    pub node: String,
+    /// Time of its calls within the waits, ms, mean over the frames of the chains.
+    pub ms: f64,
+}
+
+impl Beside {
+    /// All nodes with calls within the waits of these chains, the longest first.
+    fn of(calls: &Calls, chains: &[Chain]) -> Vec<Self> {
+        let mut ns = vec![0_u64; calls.nodes.len()];
+        for step in chains.iter().flat_map(|chain| &chain.steps) {
+            for call in &calls.calls {
+                let (start, end) = (call.start_ns.max(step.start_ns - step.wait_ns), call.end_ns.min(step.start_ns));
+                ns[call.node as usize] += end.saturating_sub(start);
+            }
+        }
+        let named = calls.nodes.iter().zip(&ns).filter(|(_, ns)| **ns > 0);
+        let mut all: Vec<Self> = named
+            .map(|(node, ns)| Self { node: node.to_string(), ms: *ns as f64 / 1e6 / chains.len() as f64 })
+            .collect();
+        all.sort_by(|a, b| b.ms.total_cmp(&a.ms));
+        all
+    }
+
+    /// As a table.
+    pub fn text(all: &[Self]) -> String {
+        let mut rows = vec![["node", "beside waits ms"].map(str::to_owned).to_vec()];
+        rows.extend(all.iter().map(|beside| vec![beside.node.clone(), number(beside.ms, 2)]));
+        table(&rows)
+    }
+}
+
+/// The chain of calls that one frame waited for.
+struct Chain {
+    /// From the sink back to the call after the source's.
+    steps: Vec<Step>,
+    /// Sum of all steps.
+    time_ns: u64,
+}
+
+/// The chains of the frames that `sink` received.
+fn chains(calls: &Calls, waits: &Waits, sink: &str) -> Vec<Chain> {
+    let positions: Vec<Option<usize>> = calls.nodes.iter().map(|node| waits.position(node)).collect();
+    let producers = waits.producers();
+    let mut by_tick: HashMap<(u32, u64), HashMap<usize, Call>> = HashMap::new();
+    for call in calls.calls.iter().filter(|call| call.made) {
+        if let Some(node) = positions[call.node as usize] {
+            by_tick.entry((call.source, call.seq)).or_default().insert(node, *call);
+        }
+    }
+    let Some(sink_at) = waits.position(sink) else { return Vec::new() };
+    by_tick.values().filter_map(|of_tick| chain(of_tick, &producers, sink_at)).collect()
+}
+
 /// A call of the chain.
 struct Step {
     node: usize,
+    start_ns: u64,
     wait_ns: u64,
     work_ns: u64,
 }
 
-/// The steps from `sink` back to the call after the source's, and their sum, ns.
-fn chain(of_tick: &HashMap<usize, Call>, producers: &[Vec<usize>], sink: usize) -> Option<(Vec<Step>, u64)> {
+/// The chain of a frame at `sink`; `None` if the timeline does not have all of it.
+fn chain(of_tick: &HashMap<usize, Call>, producers: &[Vec<usize>], sink: usize) -> Option<Chain> {
     let (mut node, mut steps) = (sink, Vec::new());
     let end_ns = of_tick.get(&sink)?.end_ns;
     loop {
@@ -147,9 +205,11 @@ fn chain(of_tick: &HashMap<usize, Call>, producers: &[Vec<usize>], sink: usize) 
         let last = ends.filter(|(_, end)| *end <= call.start_ns).max_by_key(|(_, end)| *end);
         let Some((before, ready_ns)) = last else {
             // The source: its call waits for light and is not counted. A node whose producers are no longer in the timeline is none.
-            return (node != sink && producers[node].is_empty()).then(|| (steps, end_ns - call.end_ns));
+            let time_ns = end_ns - call.end_ns;
+            return (node != sink && producers[node].is_empty()).then_some(Chain { steps, time_ns });
         };
-        steps.push(Step { node, wait_ns: call.start_ns - ready_ns, work_ns: call.end_ns - call.start_ns });
+        let (wait_ns, work_ns) = (call.start_ns - ready_ns, call.end_ns - call.start_ns);
+        steps.push(Step { node, start_ns: call.start_ns, wait_ns, work_ns });
         node = before;
     }
 }
@@ -221,6 +281,24 @@ mod tests {
             "{}",
             budget.text()
         );
+    }
+
+    #[test]
+    fn the_slowest_hundredth_names_what_ran_while_it_waited() {
+        let timeline = Timeline::default();
+        for (seq, begin) in (0..101).map(|seq| (seq, seq * 100)) {
+            // Two of 101 are slow: the sink waits while another node works.
+            let late = if seq == 7 || seq == 50 { 20 } else { 1 };
+            enter(&timeline, "camera", seq, begin, begin + 10);
+            if late == 20 {
+                enter(&timeline, "other", 1000 + seq, begin + 15, begin + 40);
+            }
+            enter(&timeline, "sink", seq, begin + 10 + late, begin + 15 + late);
+        }
+        let waits = Waits::between(&[("camera", &[]), ("sink", &["camera"]), ("other", &[])]);
+        let (budget, beside) = Budget::of_slowest(&timeline.snapshot(), &waits, "sink").expect("pictures");
+        assert_eq!((budget.pictures, budget.total_ms), (2, 25.0));
+        assert_eq!(beside, [Beside { node: "other".to_owned(), ms: 15.0 }]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::thread::ThreadId;
 use panoscope_engine::sync::lock;
 use panoscope_engine::trace::{self, Tracer};
 
-pub use budget::{Budget, Share, Waits, work_tables};
+pub use budget::{Beside, Budget, Share, Waits, work_tables};
 pub use perfetto::write;
 pub use simulate::Recorded;
 
