@@ -15,6 +15,7 @@ use crate::light::Sources;
 use crate::node::{NodeRuntime, NodeSpec};
 use crate::params::Snapshot;
 use crate::pool::Urgency;
+use crate::rate;
 use crate::region::Region;
 
 /// A reader of an output.
@@ -263,8 +264,12 @@ pub(crate) fn runtime(
     let (join, ranges) = inputs(graph, catalog, node);
     let outputs_read = outputs_read(graph, node);
     let description = graph.nodes[node].node_type(catalog);
-    let rate_number = graph.nodes[..node].iter().filter(|node| node.max_rate_hz.is_some()).count() as u32;
-    let node = &graph.nodes[node];
+    let (earlier, node) = (&graph.nodes[..node], &graph.nodes[node]);
+    let rate_phase_ns = node.max_rate_hz.map_or(0, |hz| {
+        let periods_ns: Vec<i64> =
+            earlier.iter().filter_map(|node| node.max_rate_hz).chain([hz]).map(rate::period_ns).collect();
+        rate::phase_ns(&periods_ns)
+    });
     let spec = NodeSpec {
         id: node.id.clone(),
         node_type,
@@ -274,7 +279,7 @@ pub(crate) fn runtime(
         on_fault: node.on_fault,
         budget_ms: node.budget_ms,
         max_rate_hz: node.max_rate_hz,
-        rate_number,
+        rate_phase_ns,
         cpu: node.cpu,
         ranges,
         outputs_read,

@@ -1,8 +1,34 @@
 //! At which ticks a node with `max_rate_hz` is called.
 
-/// Share of a period by which the calls of one node follow those of the node before it in the graph: multiples of the golden ratio spread over
-/// a period however many nodes there are.
-const PHASE: f64 = 0.618_033_988_749_895;
+/// Ticks of a source at 60 Hz, for which the calls of nodes with a rate are laid on different ticks.
+const TICK_NS: i64 = 1_000_000_000 / 60;
+/// Ticks of the timetable of [`phase_ns`]: two seconds.
+const TABLE: usize = 120;
+
+/// The period of a rate, ns.
+pub(crate) fn period_ns(hz: f64) -> i64 {
+    (1e9 / hz) as i64
+}
+
+/// Time by which the calls of a node follow a grid that begins with its first call, ns. `periods_ns` are those of all nodes of the graph that have
+/// a rate, in order, up to this one. Each node takes the ticks on which the fewest of those before it run: their work together would hold up
+/// the ticks that have it all. The calls are due between two ticks, so that a camera whose ticks come a little early or late loses none.
+pub(crate) fn phase_ns(periods_ns: &[i64]) -> i64 {
+    let mut taken = [0_u32; TABLE];
+    let mut phase_ns = 0;
+    for &period_ns in periods_ns.iter().filter(|period_ns| **period_ns > 0) {
+        let ticks = |first: usize| {
+            let after = move |call: i64| usize::try_from((call * period_ns + TICK_NS / 2) / TICK_NS).unwrap_or(TABLE);
+            (0..).map(move |call| first + after(call)).take_while(|tick| *tick < TABLE)
+        };
+        let slots = (period_ns / TICK_NS).clamp(1, TABLE as i64) as usize;
+        let busy = |first: &usize| ticks(*first).map(|tick| taken[tick]).sum::<u32>();
+        let first = (0..slots).min_by_key(busy).unwrap_or(0);
+        ticks(first).for_each(|tick| taken[tick] += 1);
+        phase_ns = first as i64 * TICK_NS - period_ns.min(TICK_NS) / 2;
+    }
+    phase_ns
+}
 
 /// A grid of due times, in capture time. A call after its due time moves no later one, so that a rate that a source's does not divide, or a
 /// camera whose ticks come a little early or late, keeps the mean.
@@ -22,14 +48,12 @@ impl Rate {
     /// No limit.
     pub const NONE: Self = Self { period_ns: 0, phase_ns: 0, last_ns: i64::MIN, due_ns: i64::MIN, seen: 0 };
 
-    /// Sets the period, 0 for none. Nodes with a limit, `number` of which come first in the graph, run at the same tick once, the first, and from
-    /// then on apart if they are `spread`: their work together would hold up the ticks that have it all.
-    pub fn set(&mut self, period_ns: i64, number: u32, spread: bool) {
+    /// Sets the period, 0 for none, and what the second call follows the first by beyond it ([`phase_ns`]).
+    pub fn set(&mut self, period_ns: i64, phase_ns: i64) {
         if period_ns == self.period_ns {
             return;
         }
-        let phase = if spread { (f64::from(number) * PHASE).fract() } else { 0.0 };
-        (self.period_ns, self.phase_ns) = (period_ns, (period_ns as f64 * phase) as i64);
+        (self.period_ns, self.phase_ns) = (period_ns, phase_ns);
         self.due_ns = self.last_ns.saturating_add(period_ns);
     }
 
@@ -76,10 +100,16 @@ mod tests {
         capture_ns.into_iter().enumerate().filter_map(&mut called).collect()
     }
 
-    fn limited(hz: f64, number: u32, spread: bool) -> Rate {
+    fn limited(hz: f64, phase_ns: i64) -> Rate {
         let mut rate = Rate::NONE;
-        rate.set((1e9 / hz) as i64, number, spread);
+        rate.set(period_ns(hz), phase_ns);
         rate
+    }
+
+    /// The rates of nodes in the order of their graph.
+    fn together(hz: &[f64]) -> Vec<Rate> {
+        let periods: Vec<i64> = hz.iter().map(|hz| period_ns(*hz)).collect();
+        (0..hz.len()).map(|node| limited(hz[node], phase_ns(&periods[..=node]))).collect()
     }
 
     fn at_hz(hz: f64, count: i64) -> impl Iterator<Item = i64> {
@@ -88,38 +118,50 @@ mod tests {
 
     #[test]
     fn a_rate_that_divides_the_source_takes_every_nth_tick() {
-        assert_eq!(calls(&mut limited(15.0, 0, true), at_hz(60.0, 13)), [0, 4, 8, 12]);
-        assert_eq!(calls(&mut limited(60.0, 0, true), at_hz(30.0, 4)), [0, 1, 2, 3], "a source that is slower");
+        let of = |hz: f64, source_hz: f64, count| calls(&mut together(&[hz])[0], at_hz(source_hz, count));
+        assert_eq!(of(15.0, 60.0, 13), [0, 4, 8, 12]);
+        assert_eq!(of(15.0, 30.0, 7), [0, 2, 4, 6]);
+        assert_eq!(of(60.0, 30.0, 4), [0, 1, 2, 3], "a source that is slower");
+        assert_eq!(of(200.0, 200.0, 4), [0, 1, 2, 3]);
     }
 
     /// Calls a full period apart gave 12.5 of 15 calls a second from a source at 25.
     #[test]
     fn a_rate_that_does_not_divide_the_source_is_met_on_average() {
-        let calls_of = |hz: f64, capture: Vec<i64>| calls(&mut limited(hz, 0, true), capture).len();
+        let calls_of = |hz: f64, capture: Vec<i64>| calls(&mut together(&[hz])[0], capture).len();
         assert_eq!(calls_of(15.0, at_hz(25.0, 250).collect()), 150);
         let mut random = SplitMix64(7);
         let shaken: Vec<i64> = at_hz(60.0, 600).map(|ns| ns + random.below(2_000_000) as i64 - 1_000_000).collect();
         assert!((149..=150).contains(&calls_of(15.0, shaken)));
     }
 
+    /// Phases by multiples of the golden ratio put the first and the fourth of the surgeon's nodes on the same ticks.
     #[test]
-    fn nodes_of_one_rate_run_at_different_ticks_after_the_first() {
-        let of = |number, spread| calls(&mut limited(15.0, number, spread), at_hz(60.0, 40));
-        let (first, second) = (of(0, true), of(1, true));
-        assert_eq!(first.iter().filter(|tick| second.contains(tick)).collect::<Vec<_>>(), [&0]);
-        assert_eq!((first.len(), second.len()), (10, 10));
-        assert_eq!(of(0, false), of(1, false), "in batch nothing is held up");
+    fn nodes_run_at_different_ticks_after_the_first() {
+        let mut random = SplitMix64(3);
+        let shaken: Vec<i64> = at_hz(60.0, 600).map(|ns| ns + random.below(8_000_000) as i64 - 4_000_000).collect();
+        let mut rates = together(&[15.0, 10.0, 10.0, 15.0]);
+        let all: Vec<Vec<usize>> = rates.iter_mut().map(|rate| calls(rate, shaken.iter().copied())).collect();
+        let mut ticks: Vec<usize> = all.iter().flatten().copied().filter(|tick| *tick > 0).collect();
+        let count = ticks.len();
+        ticks.sort_unstable();
+        ticks.dedup();
+        assert_eq!(ticks.len(), count, "{all:?}");
+        assert!(all.iter().zip([150, 100, 100, 150]).all(|(of, wanted)| of.len().abs_diff(wanted) <= 1), "{count}");
+        let many = together(&[15.0; 9]).iter_mut().map(|rate| calls(rate, at_hz(60.0, 8))).collect::<Vec<_>>();
+        let at = |tick: usize| many.iter().filter(|of| of.contains(&tick)).count();
+        assert_eq!([4, 5, 6, 7].map(at), [3, 2, 2, 2], "no tick has all the work");
     }
 
     #[test]
     fn a_step_back_a_gap_and_another_rate_start_the_grid_again() {
-        let mut rate = limited(10.0, 0, true);
+        let mut rate = limited(10.0, 0);
         let ms = |ms: i64| ms * 1_000_000;
         assert_eq!(calls(&mut rate, [ms(5000), ms(5050), ms(4000), ms(4050), ms(4100)]), [0, 2, 4]);
         assert_eq!(calls(&mut rate, [ms(4550), ms(4600), ms(4650)]), [0, 2], "a gap of several periods");
-        rate.set(ms(50), 0, true);
+        rate.set(ms(50), 0);
         assert_eq!(calls(&mut rate, [ms(4690), ms(4700), ms(4750)]), [1, 2]);
-        rate.set(0, 0, true);
+        rate.set(0, 0);
         assert!(!rate.is_limited());
     }
 }

@@ -264,7 +264,8 @@ impl NodeRuntime {
             self.record_event(context, |node| Event::Values { node, tick: *tick, values: values() });
             exec.set_snapshot(snapshot);
         }
-        exec.rate.set(self.config.period_ns(), self.rate_number, !context.batch);
+        // In batch nothing is held up.
+        exec.rate.set(self.config.period_ns(), if context.batch { 0 } else { self.rate_phase_ns });
         exec.budget_ns = self.config.budget_ns();
         exec.limited = exec.rate.is_limited() || exec.budget_ns != 0;
         Ok(())

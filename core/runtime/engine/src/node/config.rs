@@ -10,6 +10,7 @@ use panoscope_graph::OnFault;
 
 use crate::instance::Instance;
 use crate::params::{InForce, Snapshot};
+use crate::rate;
 use crate::sync::lock;
 
 /// Maximum budget: 100 days, which does not overflow a clock in ns.
@@ -66,7 +67,7 @@ impl Config {
         self.on_fault.store(on_fault as u8, Ordering::Relaxed);
         let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(MAX_BUDGET_NS));
         self.budget_ns.store(budget_ns, Ordering::Relaxed);
-        self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
+        self.period_ns.store(max_rate_hz.map_or(0, rate::period_ns), Ordering::Relaxed);
         epoch.advance();
     }
 

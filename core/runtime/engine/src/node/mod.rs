@@ -52,8 +52,8 @@ pub(crate) struct NodeRuntime {
     pub exclusive: bool,
     pub side_effects: bool,
     pub cpu: Option<u32>,
-    /// Number of nodes with a rate that came before it in the graph, see [`crate::rate`].
-    pub rate_number: u32,
+    /// See [`crate::rate::phase_ns`]; 0 without a rate.
+    pub rate_phase_ns: i64,
     pub rules: Box<[OutputRule]>,
     /// Names of the outputs.
     pub output_names: Arc<[String]>,
@@ -90,8 +90,8 @@ pub(crate) struct NodeSpec {
     pub on_fault: OnFault,
     pub budget_ms: Option<f64>,
     pub max_rate_hz: Option<f64>,
-    /// Number of nodes with a rate that come before it in the graph, see [`crate::rate`].
-    pub rate_number: u32,
+    /// See [`crate::rate::phase_ns`]; 0 without a rate.
+    pub rate_phase_ns: i64,
     pub cpu: Option<u32>,
     pub ranges: Vec<PortRange>,
     pub outputs_read: u64,
@@ -117,7 +117,7 @@ impl NodeRuntime {
             exclusive: declared.flags & abi::NODE_EXCLUSIVE != 0,
             side_effects: declared.flags & abi::NODE_SIDE_EFFECTS != 0,
             cpu: spec.cpu,
-            rate_number: spec.rate_number,
+            rate_phase_ns: spec.rate_phase_ns,
             output_names: rules.iter().map(|rule| rule.name.clone()).collect(),
             rules,
             exec: ExecPlace::new(exec),
