@@ -10,7 +10,7 @@ pub(crate) fn period_ns(hz: f64) -> i64 {
     (1e9 / hz) as i64
 }
 
-/// Time by which the calls of a node follow a grid that begins with its first call, ns. `periods_ns` are those of all nodes of the graph that have
+/// Capture time of a call of a node, ns, which its other calls are whole periods away from. `periods_ns` are those of all nodes of the graph that have
 /// a rate, in order, up to this one. Each node takes the ticks on which the fewest of those before it run: their work together would hold up
 /// the ticks that have it all. The calls are due between two ticks, so that a camera whose ticks come a little early or late loses none.
 pub(crate) fn phase_ns(periods_ns: &[i64]) -> i64 {
@@ -35,8 +35,8 @@ pub(crate) fn phase_ns(periods_ns: &[i64]) -> i64 {
 pub(crate) struct Rate {
     /// Between two due times, ns; 0 where every tick is due.
     period_ns: i64,
-    /// From the first call to its successor, ns more than a period.
-    phase_ns: i64,
+    /// See [`phase_ns`]; `None` for periods that begin with the first call.
+    phase_ns: Option<i64>,
     /// The last tick that was run, `i64::MIN` for none.
     last_ns: i64,
     due_ns: i64,
@@ -46,10 +46,10 @@ pub(crate) struct Rate {
 
 impl Rate {
     /// No limit.
-    pub const NONE: Self = Self { period_ns: 0, phase_ns: 0, last_ns: i64::MIN, due_ns: i64::MIN, seen: 0 };
+    pub const NONE: Self = Self { period_ns: 0, phase_ns: None, last_ns: i64::MIN, due_ns: i64::MIN, seen: 0 };
 
-    /// Sets the period, 0 for none, and what the second call follows the first by beyond it ([`phase_ns`]).
-    pub fn set(&mut self, period_ns: i64, phase_ns: i64) {
+    /// Sets the period, 0 for none, and the phase.
+    pub fn set(&mut self, period_ns: i64, phase_ns: Option<i64>) {
         if period_ns == self.period_ns {
             return;
         }
@@ -77,11 +77,19 @@ impl Rate {
     pub fn run(&mut self, at_ns: i64) {
         let late_ns = at_ns.saturating_sub(self.due_ns);
         self.due_ns = match self.last_ns {
-            i64::MIN => at_ns.saturating_add(self.period_ns).saturating_add(self.phase_ns),
+            i64::MIN => self.first_due_ns(at_ns),
             _ if (0..self.period_ns).contains(&late_ns) => self.due_ns.saturating_add(self.period_ns),
-            _ => at_ns.saturating_add(self.period_ns),
+            _ => self.first_due_ns(at_ns),
         };
         (self.last_ns, self.seen) = (at_ns, 0);
+    }
+
+    /// The due time after a call that begins the grid: half a period to one and a half later, with a phase.
+    fn first_due_ns(&self, at_ns: i64) -> i64 {
+        let Some(phase_ns) = self.phase_ns else { return at_ns.saturating_add(self.period_ns) };
+        let after_ns = phase_ns.saturating_sub(at_ns).rem_euclid(self.period_ns);
+        let is_soon = after_ns < self.period_ns / 2;
+        at_ns.saturating_add(after_ns).saturating_add(if is_soon { self.period_ns } else { 0 })
     }
 }
 
@@ -100,7 +108,7 @@ mod tests {
         capture_ns.into_iter().enumerate().filter_map(&mut called).collect()
     }
 
-    fn limited(hz: f64, phase_ns: i64) -> Rate {
+    fn limited(hz: f64, phase_ns: Option<i64>) -> Rate {
         let mut rate = Rate::NONE;
         rate.set(period_ns(hz), phase_ns);
         rate
@@ -109,7 +117,7 @@ mod tests {
     /// The rates of nodes in the order of their graph.
     fn together(hz: &[f64]) -> Vec<Rate> {
         let periods: Vec<i64> = hz.iter().map(|hz| period_ns(*hz)).collect();
-        (0..hz.len()).map(|node| limited(hz[node], phase_ns(&periods[..=node]))).collect()
+        (0..hz.len()).map(|node| limited(hz[node], Some(phase_ns(&periods[..=node])))).collect()
     }
 
     fn at_hz(hz: f64, count: i64) -> impl Iterator<Item = i64> {
@@ -141,8 +149,19 @@ mod tests {
         let mut random = SplitMix64(3);
         let shaken: Vec<i64> = at_hz(60.0, 600).map(|ns| ns + random.below(8_000_000) as i64 - 4_000_000).collect();
         let mut rates = together(&[15.0, 10.0, 10.0, 15.0]);
-        let all: Vec<Vec<usize>> = rates.iter_mut().map(|rate| calls(rate, shaken.iter().copied())).collect();
-        let mut ticks: Vec<usize> = all.iter().flatten().copied().filter(|tick| *tick > 0).collect();
+        // The inputs of each come a tick later than those of the node before.
+        let from = |node: usize| shaken.iter().copied().enumerate().skip(node);
+        let calls_from = |(node, rate): (usize, &mut Rate)| {
+            let called = from(node).filter(|(_, at_ns)| {
+                rate.is_due(*at_ns, 1) && {
+                    rate.run(*at_ns);
+                    true
+                }
+            });
+            called.map(|(tick, _)| tick).collect::<Vec<_>>()
+        };
+        let all: Vec<Vec<usize>> = rates.iter_mut().enumerate().map(calls_from).collect();
+        let mut ticks: Vec<usize> = all.iter().flatten().copied().filter(|tick| *tick > 3).collect();
         let count = ticks.len();
         ticks.sort_unstable();
         ticks.dedup();
@@ -155,13 +174,13 @@ mod tests {
 
     #[test]
     fn a_step_back_a_gap_and_another_rate_start_the_grid_again() {
-        let mut rate = limited(10.0, 0);
+        let mut rate = limited(10.0, None);
         let ms = |ms: i64| ms * 1_000_000;
         assert_eq!(calls(&mut rate, [ms(5000), ms(5050), ms(4000), ms(4050), ms(4100)]), [0, 2, 4]);
         assert_eq!(calls(&mut rate, [ms(4550), ms(4600), ms(4650)]), [0, 2], "a gap of several periods");
-        rate.set(ms(50), 0);
+        rate.set(ms(50), None);
         assert_eq!(calls(&mut rate, [ms(4690), ms(4700), ms(4750)]), [1, 2]);
-        rate.set(0, 0);
+        rate.set(0, None);
         assert!(!rate.is_limited());
     }
 }

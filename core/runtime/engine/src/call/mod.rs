@@ -265,7 +265,7 @@ impl NodeRuntime {
             exec.set_snapshot(snapshot);
         }
         // In batch nothing is held up.
-        exec.rate.set(self.config.period_ns(), if context.batch { 0 } else { self.rate_phase_ns });
+        exec.rate.set(self.config.period_ns(), (!context.batch).then_some(self.rate_phase_ns));
         exec.budget_ns = self.config.budget_ns();
         exec.limited = exec.rate.is_limited() || exec.budget_ns != 0;
         Ok(())
