@@ -86,7 +86,9 @@ impl Rate {
 
     /// The due time after a call that begins the grid: half a period to one and a half later, with a phase.
     fn first_due_ns(&self, at_ns: i64) -> i64 {
-        let Some(phase_ns) = self.phase_ns else { return at_ns.saturating_add(self.period_ns) };
+        let Some(phase_ns) = self.phase_ns.filter(|_| self.is_limited()) else {
+            return at_ns.saturating_add(self.period_ns);
+        };
         let after_ns = phase_ns.saturating_sub(at_ns).rem_euclid(self.period_ns);
         let is_soon = after_ns < self.period_ns / 2;
         at_ns.saturating_add(after_ns).saturating_add(if is_soon { self.period_ns } else { 0 })
@@ -180,7 +182,8 @@ mod tests {
         assert_eq!(calls(&mut rate, [ms(4550), ms(4600), ms(4650)]), [0, 2], "a gap of several periods");
         rate.set(ms(50), None);
         assert_eq!(calls(&mut rate, [ms(4690), ms(4700), ms(4750)]), [1, 2]);
-        rate.set(0, None);
+        rate.set(0, Some(0));
         assert!(!rate.is_limited());
+        assert_eq!(calls(&mut rate, [ms(4800), ms(4800), ms(4801)]), [0, 1, 2]);
     }
 }
