@@ -1,17 +1,20 @@
-//! Keypoints of boxes from pose exports of YOLO: tips, and a table of all keypoints.
+//! Keypoints of boxes, from pose exports of YOLO or a map of tips: tips, and a table of all keypoints.
 
 use panoscope_node::abi::{Detection, Tip};
-use panoscope_node::{Result, Slot, TableData};
+use panoscope_node::{Result, Slot, Table, TableData};
 
 use crate::candidates::Candidate;
 use crate::export_kind::ExportKind;
 use crate::letterbox::Placement;
 use crate::session::Tensor;
+use crate::tip_map::TipMap;
 
 /// Columns of the table of keypoints.
 const COLUMNS: [&str; 5] = ["box", "keypoint", "x_px", "y_px", "score"];
 /// Maximum number of keypoints of a box.
 const MAX_COUNT: usize = 256;
+/// Keypoints of a box whose tip is in a map of tips.
+const TIP: KeypointShape = KeypointShape { count: 1, numbers: 3 };
 
 /// Number of keypoints per box, and of values per keypoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -50,12 +53,35 @@ pub struct Keypoints {
     /// Position (x, y in px of the image) and score of all keypoints of each row.
     points: Vec<[f32; 3]>,
     table: Vec<f64>,
+    /// Tips of the last run, if the network has a map of tips.
+    map: Option<TipMap>,
 }
 
 impl Keypoints {
-    /// Starts without boxes.
-    pub fn new(shape: KeypointShape) -> Self {
-        Self { shape, ..Self::default() }
+    /// Starts without boxes. `has_map`: whether the network has a map of tips, which replaces keypoints of the boxes.
+    pub fn new(shape: KeypointShape, has_map: bool) -> Self {
+        let shape = if has_map { TIP } else { shape };
+        Self { shape, map: has_map.then(TipMap::default), ..Self::default() }
+    }
+
+    /// Copies the map of tips of the run; `placement`: of the image in the input.
+    pub fn copy_map(&mut self, tips: Option<&Tensor<'_>>, placement: &Placement) {
+        if let (Some(map), Some(tips)) = (&mut self.map, tips) {
+            map.copy(tips, placement);
+        }
+    }
+
+    /// Finds the tip of each box in the map of tips, if there is one.
+    pub fn find_tips(&mut self, candidates: &[Candidate]) {
+        let Some(map) = &self.map else { return };
+        self.rows.clear();
+        self.points.clear();
+        for candidate in candidates {
+            if let Some(tip) = map.in_box(candidate.corners) {
+                self.rows.push(candidate.row);
+                self.points.push(tip);
+            }
+        }
     }
 
     /// Collects the keypoints of `candidates` from the outputs that they were decoded from.
@@ -68,7 +94,8 @@ impl Keypoints {
     ) {
         self.rows.clear();
         self.points.clear();
-        let Some(tensor) = outputs.first().filter(|_| !self.shape.is_empty()) else { return };
+        let is_read = !self.shape.is_empty() && self.map.is_none();
+        let Some(tensor) = outputs.first().filter(|_| is_read) else { return };
         let (Some(values), [_, second, third]) = (tensor.data.floats(), &tensor.shape[..]) else { return };
         let KeypointShape { count, numbers } = self.shape;
         for candidate in candidates {
@@ -135,6 +162,16 @@ impl Keypoints {
         self.table = rows;
         made
     }
+}
+
+/// The first keypoint of box `index` in a table of keypoints: column and row, px, and score. `None` if the table has no such row, or other columns.
+pub fn tip_in_table(table: &Table<'_>, index: usize) -> Option<[f64; 3]> {
+    if !table.names().eq(COLUMNS) {
+        return None;
+    }
+    let row = table.rows().find(|row| matches!(row, [of, keypoint, ..] if *of == index as f64 && *keypoint == 0.0))?;
+    let [_, _, x, y, score] = row else { return None };
+    (x.is_finite() && y.is_finite()).then_some([*x, *y, *score])
 }
 
 #[cfg(test)]

@@ -30,6 +30,7 @@ pub mod shaft;
 pub mod silhouette;
 pub mod skill;
 pub mod stereo_net;
+pub mod tip_map;
 pub mod tip_position;
 pub mod tip_track;
 pub mod tool_tip;

@@ -5,13 +5,14 @@ use std::collections::VecDeque;
 use panoscope_node::abi::{Calibration, Detection, Tip};
 use panoscope_node::{
     AnyImage, Bgr8, Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports,
-    Result, Slot, Validation, Value, View, error,
+    Result, Slot, Table, Validation, Value, View, error,
 };
 
 use panoscope_arm_core::tracking::real_time::RealTime;
 use panoscope_arm_core::tracking::tracker::UNKNOWN_CLASS;
 
 use crate::candidates::iou;
+use crate::keypoints::tip_in_table;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, direction_of_box, tip_of_box};
 use crate::silhouette::{Cues, Nearness, Silhouette};
 use crate::tip_position::{Position, Scene, Space, TipPosition};
@@ -25,6 +26,9 @@ pub struct In<'f> {
     detections: Option<Detections<'f>>,
     /// Tools with masks; used instead of boxes.
     instances: Option<Instances<'f>>,
+    /// Keypoints of the boxes, from the output `keypoints` of the same `yolo`, with the same `align`. The first keypoint of a box is its tip where the
+    /// tool's end in the image is missing or far from it (`keypoint_score`). Unused with masks.
+    keypoints: Option<Table<'f>>,
     /// Image in which tools were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the
     /// tip is the end of the box, wrong by up to half the box's width. The image also shows on which side the shaft of a box or mask goes on or leaves
     /// the view: the tip is on the other one.
@@ -66,6 +70,13 @@ pub struct ToolTipParams {
     /// Zhang et al. 2022, ByteTrack).
     #[param(default = 0.1, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     keep_score: f32,
+    /// Minimum score of a keypoint that replaces the end of the segmented tool. 1: keypoints are not used.
+    #[param(default = 0.35, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    keypoint_score: f64,
+    /// Minimum distance of such a keypoint from the end of the segmented tool, as a share of the diagonal of the box: nearer, the end is used. 0 always
+    /// uses the keypoint, which is more accurate in real images without depth and less accurate in rendered ones.
+    #[param(default = 0.35, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    keypoint_distance: f64,
     /// Radius around the tip within which depth is read.
     #[param(default = 6, range = 1..=64, unit = "px")]
     radius_px: usize,
@@ -179,6 +190,7 @@ const MAX_OBSERVATIONS: usize = 16;
 struct Tools<'a, 'f> {
     found: &'a Detections<'f>,
     masks: Option<Instances<'f>>,
+    keypoints: Option<Table<'f>>,
     /// Columns and rows of the image.
     size: (usize, usize),
     /// Name of the class to follow; empty for any.
@@ -216,6 +228,18 @@ impl<'f> Tools<'_, 'f> {
 
     fn mask(&self, item: usize) -> Option<Mask<'_>> {
         self.masks.as_ref().map(|masks| Mask::new(masks.mask(item), self.size.0, self.size.1))
+    }
+
+    /// The keypoint of box `index`, moved with it by `shift` px, if its score is at least `min_score`. It points away from the middle of the box.
+    fn keypoint(&self, index: usize, shift: [f32; 2], min_score: f64) -> Option<TipPixel> {
+        let table = self.keypoints.as_ref().filter(|_| self.masks.is_none() && min_score < 1.0)?;
+        let [x, y, _] = tip_in_table(table, index).filter(|[.., score]| *score >= min_score)?;
+        let (u_px, v_px) = (x + f64::from(shift[0]), y + f64::from(shift[1]));
+        let [x0, y0, x1, y1] = moved(corners_of(self.items().get(index)?), shift).map(f64::from);
+        let (dx, dy) = (u_px - (x0 + x1) / 2.0, v_px - (y0 + y1) / 2.0);
+        let length = dx.hypot(dy);
+        let direction = if length > 1e-9 { [dx / length, dy / length] } else { [1.0, 0.0] };
+        Some(TipPixel { tip: End { u_px, v_px, direction }, jaws: None })
     }
 
     /// Whether a tip is away from the border of the image; at the border tools only leave it.
@@ -299,6 +323,16 @@ impl ToolTip {
             if tip.is_none() {
                 tip = self.cut_tip(corners, cues);
                 is_cut = tip.is_some();
+                let far_px =
+                    params.keypoint_distance * f64::from((corners[2] - corners[0]).hypot(corners[3] - corners[1]));
+                let keypoint = tools.keypoint(index, shift, params.keypoint_score).filter(|keypoint| {
+                    let off_px =
+                        |cut: &TipPixel| (cut.tip.u_px - keypoint.tip.u_px).hypot(cut.tip.v_px - keypoint.tip.v_px);
+                    tip.as_ref().is_none_or(|cut| off_px(cut) > far_px)
+                });
+                if keypoint.is_some() {
+                    (tip, is_cut) = (keypoint, false);
+                }
             }
             // Only an old box: it shows where the tool was.
             let tip = tip.or_else(|| (age_ns == 0).then(|| tip_of_box(corners, width, height)));
@@ -429,7 +463,8 @@ impl Node for ToolTip {
         if age_ns > 0 && (masks.is_some() || self.time.real(age_ns) as f64 > max_ns) {
             return Ok(());
         }
-        let tools = Tools { found: &found, masks, size: found.image_size(), class: &params.class };
+        let keypoints = input.keypoints;
+        let tools = Tools { found: &found, masks, keypoints, size: found.image_size(), class: &params.class };
         let picture = tools.view("image", input.image, "the image that was searched")?;
         let right = tools.view("right", input.right, "the other view of the same pair")?;
         let space = Space {

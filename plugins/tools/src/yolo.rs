@@ -20,6 +20,7 @@ use crate::letterbox::Letterbox;
 use crate::model::Model;
 use crate::pictures::{self, Familiarity, Unlike};
 use crate::provider::Provider;
+use crate::tip_map;
 use crate::track::Tracker;
 
 /// Input ports of `yolo`.
@@ -52,7 +53,7 @@ pub struct Out<'f> {
     /// Fourth keypoint of that box.
     tip3: Slot<'f, Tip>,
     /// All keypoints of all boxes, one per row: index of its box in `detections`, index of the keypoint, position in px, score. Empty if the model
-    /// outputs no keypoints.
+    /// outputs no keypoints. The shipped detector has one keypoint, the tip; connect it to `keypoints` of `tool_tip`.
     keypoints: Slot<'f, TableData>,
 }
 
@@ -293,12 +294,14 @@ impl Node for Yolo {
         let end_to_end = network.model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
         let pose = network.model.metadata("kpt_shape").and_then(KeypointShape::from_metadata).unwrap_or_default();
         let chosen = params.layout.kind(pose.len());
-        let (kind, classes, channels) = network.model.run(&gray, |outputs| -> Result<_> {
+        let (kind, classes, channels, has_tips) = network.model.run(&gray, |outputs| -> Result<_> {
+            let (outputs, tips) = tip_map::split(outputs);
+            tips.map_or(Ok(()), |tips| tip_map::check(tips).map_err(|e| error!("{}: {e}", path.display())))?;
             let (outputs, features) = pictures::split(outputs);
             let kind = chosen.map_or_else(|| recognise(&path, (w, h), end_to_end, pose.len(), outputs), Ok)?;
             count_bad(&path, outputs, kind.rows())?;
             let channels = features.and_then(|tensor| tensor.shape.get(1).copied());
-            Ok((kind, kind.classes(outputs), channels))
+            Ok((kind, kind.classes(outputs), channels, tips.is_some()))
         })??;
         network.name_classes(&params.labels, classes)?;
         let names = network.labels.lines().count();
@@ -317,7 +320,7 @@ impl Node for Yolo {
             calibration,
             unknown,
             familiarity,
-            keypoints: Keypoints::new(pose),
+            keypoints: Keypoints::new(pose, has_tips),
             candidates: Vec::new(),
             items: Vec::new(),
             lit: HeldMask::default(),
@@ -351,11 +354,13 @@ impl Node for Yolo {
         let rows = self.kind.rows();
         let (familiarity, keypoints, kind) = (&mut self.familiarity, &mut self.keypoints, self.kind);
         let (bad, unlikeness) = model.run(&letterbox.input, |outputs| -> Result<_> {
+            let (outputs, tips) = tip_map::split(outputs);
             let (outputs, features) = pictures::split(outputs);
             let unlikeness = familiarity.unlikeness(features, placement.size);
             let bad = count_bad(path, outputs, rows)?;
             decoder.decode(outputs)?;
             keypoints.collect(outputs, kind, decoder.out, &placement);
+            keypoints.copy_map(tips, &placement);
             Ok((bad, unlikeness))
         })??;
         damage.report(cx, path, bad);
@@ -382,6 +387,7 @@ impl Node for Yolo {
         };
         let left_out = suppress(&mut self.candidates, &suppression);
         damage.report_left_out(cx, left_out, ("max_boxes", params.max_boxes));
+        self.keypoints.find_tips(&self.candidates);
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {

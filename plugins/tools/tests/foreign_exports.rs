@@ -110,6 +110,44 @@ fn keypoints_stand_behind_the_class_where_suppression_is_inside() {
     assert_keypoints(&path, (128, 96), [[52.0, 44.0, 0.75], [76.0, 52.0, 0.5]]);
 }
 
+/// A detector of the YOLOX family of 64 x 64 px with one box (24, 28, 40, 36) and a map of tips of 2 x 2 cells.
+fn with_tip_map(shape: Vec<i64>, map: Vec<f32>) -> TinyModel {
+    // Strides 8, 16 and 32; cell (3, 3) of stride 8 has the box.
+    let mut values = vec![0.0; 84 * 6];
+    let size = |px: f32| (px / 8.0).ln();
+    values[6 * 27..6 * 28].copy_from_slice(&[1.0, 1.0, size(16.0), size(8.0), 0.9, 1.0]);
+    TinyModel {
+        input: vec![1, 3, 64, 64],
+        outputs: vec![("output", vec![1, 84, 6], Fixed::Floats(values)), ("tips", shape, Fixed::Floats(map))],
+        metadata: vec![("names", "{0: 'tool'}".into()), ("task", "detect".into()), ("family", "yolox".into())],
+    }
+}
+
+#[test]
+fn a_map_of_tips_gives_each_box_its_tip() {
+    if !runtime_is_there() {
+        return;
+    }
+    // The second cell's tip is in the box, the third one's, with a higher score, is not.
+    let map = vec![0.0, 0.7, 0.9, 0.0, 0.0, 26.0, 4.0, 0.0, 0.0, 34.0, 4.0, 0.0];
+    let path = with_tip_map(vec![1, 3, 2, 2], map.clone()).write(&folder("tip_map"), "m.onnx");
+    let mut node = Harness::<Yolo>::from_toml(&format!("params = {{ model = {path:?} }}")).expect("the model opens");
+    let out = node.input_image::<Bgr8>("image", 128, 128, &vec![90; 128 * 128 * 3]).process().expect("it runs");
+    let tip = out.value::<Tip>("tip0").expect("a tip");
+    assert!(
+        (tip.u_px - 52.0).abs() < 1e-3 && (tip.v_px - 68.0).abs() < 1e-3 && (tip.score - 0.7).abs() < 1e-6,
+        "{tip:?}"
+    );
+    let table = out.table("keypoints").expect("a table");
+    assert_eq!(table.rows().collect::<Vec<_>>(), [[0.0, 0.0, tip.u_px, tip.v_px, tip.score]]);
+    assert!(out.is_empty("tip1").expect("an output"));
+    // Two channels are no map of tips.
+    let path = with_tip_map(vec![1, 2, 3, 2], map).write(&folder("no_tip_map"), "m.onnx");
+    let error =
+        Harness::<Yolo>::from_toml(&format!("params = {{ model = {path:?} }}")).err().expect("refused").to_string();
+    assert!(error.contains("tips"), "{error}");
+}
+
 #[test]
 fn nothing_found_gives_no_tip_and_an_empty_table() {
     if !runtime_is_there() {

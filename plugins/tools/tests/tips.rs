@@ -176,6 +176,39 @@ fn the_tip_of_a_box_is_not_the_end_where_the_shaft_goes_on() -> Result<(), Harne
     Ok(())
 }
 
+#[test]
+fn a_keypoint_is_the_tip_where_the_segmented_end_is_far_from_it() -> Result<(), HarnessError> {
+    let tip = [70.0, 60.0];
+    let (picture, _) = instrument(tip);
+    let (x_px, y_px, width_px, height_px) = (58.0, 34.0, 74.0, 38.0);
+    let item = Detection { x_px, y_px, width_px, height_px, score: 0.9, class_index: 0, track_id: -1 };
+    let columns = ["box", "keypoint", "x_px", "y_px", "score"];
+    let find = |params: &str, columns: &[&str], rows: &[f64]| -> Result<[f64; 2], HarnessError> {
+        let mut node = Harness::<ToolTip>::from_toml(&format!("params = {{ {params} }}"))?;
+        node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+        node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+        node.input_table("keypoints", columns, rows);
+        let found: Tip = node.process()?.value("tip")?;
+        Ok([found.u_px, found.v_px])
+    };
+    let plain = find("", &columns, &[])?;
+    assert!((plain[0] - tip[0]).hypot(plain[1] - tip[1]) < 4.0, "{plain:?}");
+    // The diagonal of the box is 83 px, of which 35 % are 29 px.
+    let far = [0.0, 0.0, 120.0, 45.0, 0.6];
+    assert_eq!(find("", &columns, &far)?, [120.0, 45.0]);
+    assert_eq!(find("keypoint_score = 0.7", &columns, &far)?, plain);
+    assert_eq!(find("keypoint_score = 1.0", &columns, &[0.0, 0.0, 120.0, 45.0, 1.0])?, plain);
+    // Near the end, of another box, no tip but another keypoint, not a number, another table.
+    let near = [0.0, 0.0, 84.0, 56.0, 0.6];
+    assert_eq!(find("", &columns, &near)?, plain);
+    assert_eq!(find("keypoint_distance = 0.0", &columns, &near)?, [84.0, 56.0]);
+    assert_eq!(find("", &columns, &[1.0, 0.0, 120.0, 45.0, 0.6])?, plain);
+    assert_eq!(find("", &columns, &[0.0, 1.0, 120.0, 45.0, 0.6])?, plain);
+    assert_eq!(find("", &columns, &[0.0, 0.0, f64::NAN, 45.0, 0.6])?, plain);
+    assert_eq!(find("", &["a", "b", "c", "d", "e"], &far)?, plain);
+    Ok(())
+}
+
 /// Red tissue in a round field of view, dark around it, with a gray instrument from the field's left rim to a tip. Returns the image, bgr8, and the
 /// instrument's mask.
 fn round_field(middle: [f64; 2], radius: f64, tip: [f64; 2]) -> (Vec<u8>, Vec<u8>) {

@@ -3,6 +3,8 @@
 
     python3 make_phantom_frames.py --panoscope target/debug/panoscope --out frames [--scenes 60] [--frames 16]
 
+Each instrument has the position of its tip, px, and 1 where it is seen, 0 where it is hidden or outside (`tip` of its annotation).
+
 Every scene has its own seed, tissue, light, smoke, number and order of instruments, all drawn from --seed; whole scenes go to `train.json` or
 (every sixth) to `val.json`. train_masks.py learns from them; `panoscope eval detect` scores on val.json.
 """
@@ -32,6 +34,16 @@ params = {{ path = "{{seq}}.jpg" }}
 type = "write_table"
 inputs = {{ instances = "scope.instances" }}
 params = {{ path = "truth.json", image_name = "{{seq}}.jpg" }}
+
+[nodes.lead]
+type = "write_table"
+inputs = {{ tip = "scope.lead" }}
+params = {{ path = "lead.jsonl" }}
+
+[nodes.tips]
+type = "write_table"
+inputs = {{ table = "scope.clearance" }}
+params = {{ path = "tips.jsonl" }}
 """
 
 
@@ -54,6 +66,25 @@ def scene_params(rng, width, height):
     }
     text = {k: f'"{v}"' if isinstance(v, str) else v for k, v in chosen.items()}
     return ", ".join(f"{k} = {v}" for k, v in text.items())
+
+
+def tips_of(lead, tables):
+    """Tips by frame and instrument: column and row in px, and whether it is seen. `lead`: lines with px and mm, which give the camera."""
+    rows, places = [], []
+    for tip in filter(None, (line.get("tip") for line in lead)):
+        x, y, z = tip["xyz_mm"]
+        rows += [[x / z, 1, 0], [y / z, 0, 1]]
+        places += [tip["u_px"], tip["v_px"]]
+    if not rows:
+        return {}
+    focal, u, v = np.linalg.lstsq(np.array(rows), np.array(places), rcond=None)[0]
+    found = {}
+    for line in tables:
+        for t in line.get("table") or []:
+            if t["z_mm"] > 0:
+                place = [focal * t["x_mm"] / t["z_mm"] + u, focal * t["y_mm"] / t["z_mm"] + v]
+                found[line["seq"], t["track_id"]] = [*(round(float(value), 2) for value in place), int(t["seen"])]
+    return found
 
 
 def main():
@@ -81,15 +112,20 @@ def main():
             if done.returncode != 0:
                 raise SystemExit(f"scene {scene} failed:\n{done.stdout}{done.stderr}")
         truth = json.loads(truth_file.read_text())
+        lines = lambda name: [json.loads(line) for line in (folder / name).read_text().splitlines()]
+        tips = tips_of(lines("lead.jsonl"), lines("tips.jsonl"))
         into = splits["val" if scene % 6 == 5 else "train"]
         into["categories"] = truth["categories"]
         first = len(into["images"])
-        number = {}
+        number, seq = {}, {}
         for i in truth["images"]:
+            seq[i["id"]] = int(Path(i["file_name"]).stem)
             number[i["id"]] = first + len(number)
             into["images"].append({**i, "id": number[i["id"]], "file_name": f"{folder.name}/{i['file_name']}"})
         for n in truth["annotations"]:
             n.pop("score", None)
+            tip = tips.get((seq[n["image_id"]], n["track_id"]))
+            n |= {"tip": tip} if tip else {}
             into["annotations"].append({**n, "id": len(into["annotations"]) + 1, "image_id": number[n["image_id"]]})
         print(f"scene {scene + 1} of {a.scenes}", flush=True)
     for name, held in splits.items():

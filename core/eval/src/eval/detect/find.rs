@@ -46,7 +46,9 @@ impl Node {
     /// Inputs of a `tool_tip` after the node `find`.
     pub fn tip_inputs(self, image: &str) -> String {
         match self {
-            Self::Yolo => format!("detections = \"find.detections\", image = \"{image}\""),
+            Self::Yolo => {
+                format!("detections = \"find.detections\", keypoints = \"find.keypoints\", image = \"{image}\"")
+            }
             Self::MaskRcnn => format!("instances = \"find.instances\", image = \"{image}\""),
         }
     }
