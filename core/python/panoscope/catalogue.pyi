@@ -584,7 +584,7 @@ class Yolo(Node):
     tip3: Output[Literal["tip"]]
     """Fourth keypoint of that box."""
     keypoints: Output[Literal["table"]]
-    """All keypoints of all boxes, one per row: index of its box in `detections`, index of the keypoint, position in px, score. Empty if the model outputs no keypoints."""
+    """All keypoints of all boxes, one per row: index of its box in `detections`, index of the keypoint, position in px, score. Empty if the model outputs no keypoints. The shipped detector has one keypoint, the tip; connect it to `keypoints` of `tool_tip`."""
 
 class NodeTypes:
     def arm_pid(
@@ -2718,6 +2718,7 @@ class NodeTypes:
         self,
         detections: Input[Literal["detections"]] | None = None,
         instances: Input[Literal["instances"]] | None = None,
+        keypoints: Input[Literal["table"]] | None = None,
         image: Input[Literal["image"]] | None = None,
         right: Input[Literal["image"]] | None = None,
         depth: Input[Literal["depth"]] | None = None,
@@ -2727,6 +2728,8 @@ class NodeTypes:
         class_: Text = ...,
         min_score: Number = ...,
         keep_score: Number = ...,
+        keypoint_score: Number = ...,
+        keypoint_distance: Number = ...,
         radius_px: Whole = ...,
         max_age_ms: Number = ...,
         id: str | None = None,
@@ -2736,6 +2739,7 @@ class NodeTypes:
 
         detections: Boxes of tools in the left rectified view. Boxes of a detector that is slower than the camera (wired with `align = "latest"`) are moved along with the tip, and the tool is segmented in the image of this tick: a tip is as new as `image`, not as its box.
         instances: Tools with masks; used instead of boxes.
+        keypoints: Keypoints of the boxes, from the output `keypoints` of the same `yolo`, with the same `align`. The first keypoint of a box is its tip where the tool's end in the image is missing or far from it (`keypoint_score`). Unused with masks.
         image: Image in which tools were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both, the tip is the end of the box, wrong by up to half the box's width. The image also shows on which side the shaft of a box or mask goes on or leaves the view: the tip is on the other one.
         right: Right rectified view of the same tick, bgr8. With it the depth of a segmented tool end is found by comparing both views. Tool ends are often thinner than a matcher's window, which returns the depth of the tissue there.
         depth: Depth of the left rectified view, mm, for the position in space.
@@ -2744,6 +2748,8 @@ class NodeTypes:
         class_: Name of the class to follow; empty takes any. (default "")
         min_score: Minimum score of a tool. Without a given class, the scores of overlapping boxes of several classes are added. (0 to 1 ratio; default 0.3)
         keep_score: Minimum score of a box that overlaps the previous box of the leading tool: a weak box at the position of a certain tool is that tool (after Zhang et al. 2022, ByteTrack). (0 to 1 ratio; default 0.1)
+        keypoint_score: Minimum score of a keypoint that replaces the end of the segmented tool. 1: keypoints are not used. (0 to 1 ratio; default 0.35)
+        keypoint_distance: Minimum distance of such a keypoint from the end of the segmented tool, as a share of the diagonal of the box: nearer, the end is used. 0 always uses the keypoint, which is more accurate in real images without depth and less accurate in rendered ones. (0 to 1 ratio; default 0.35)
         radius_px: Radius around the tip within which depth is read. (1 to 64 px; default 6)
         max_age_ms: Maximum age of a box that is used, and time for which the last box is used while the detector finds none. (0 to 1000 ms; default 300)"""
 

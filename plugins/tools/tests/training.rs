@@ -58,6 +58,11 @@ fn what_is_no_instrument_passes_its_tests() {
 }
 
 #[test]
+fn maps_of_tips_are_learned_and_inserted() {
+    passes("test_tips", &["torch", "cv2", "numpy", "onnx", "onnxruntime"]);
+}
+
+#[test]
 fn the_stereo_network_passes_its_tests() {
     passes_in("../stereo/training", "test_matcher", &["torch", "cv2", "numpy", "onnx", "onnxruntime"]);
 }
