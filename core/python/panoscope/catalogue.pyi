@@ -1670,6 +1670,7 @@ class NodeTypes:
         model: File = ...,
         family: Union[Literal["auto", "torchvision", "detectron2", "yolo_seg"], Arg] = ...,
         min_score: Number = ...,
+        unknown_below: Number = ...,
         max_overlap: Number = ...,
         mask_threshold: Number = ...,
         max_instances: Whole = ...,
@@ -1692,6 +1693,7 @@ class NodeTypes:
         model: ONNX file of the network. (default "models/instrument_masks.onnx")
         family: Family of the export. (default "auto")
         min_score: Minimum score of an instance. (0.001 to 1 ratio; default 0.5)
+        unknown_below: Minimum share of an instance's class in the sum of the scores of all classes at its place. Below it the class is reported as `unknown`, an instrument of uncertain kind, with that sum as score. 0 always names the class with the highest score. On rendered instruments 0.4 makes a third of the outlines `unknown`, on real ones hardly any. (0 to 1 ratio; default 0)
         max_overlap: Overlap (intersection over union) above which the box with the lower score is dropped, within a class. (0.05 to 1 ratio; default 0.5)
         mask_threshold: Minimum probability of a pixel of the mask. (0.01 to 0.99 ratio; default 0.5)
         max_instances: Maximum number of instances in the output. (1 to 200; default 20)

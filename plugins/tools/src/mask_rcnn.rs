@@ -12,7 +12,7 @@ use panoscope_node::{
     Slot, TextPacket, Validation, error,
 };
 
-use crate::candidates::{Candidate, Decoder, Suppression, keep_lit, suppress};
+use crate::candidates::{Candidate, Decoder, Suppression, iou, keep_lit, suppress};
 use crate::export_kind::ExportKind;
 use crate::finite::{Rows, count_bad};
 use crate::letterbox::{BORDER, Fit, PixelForm, Placement};
@@ -68,6 +68,11 @@ pub struct MaskRcnnParams {
     /// Minimum score of an instance.
     #[param(default = 0.5, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
+    /// Minimum share of an instance's class in the sum of the scores of all classes at its place. Below it the class is reported as `unknown`, an
+    /// instrument of uncertain kind, with that sum as score. 0 always names the class with the highest score. On rendered instruments 0.4 makes a
+    /// third of the outlines `unknown`, on real ones hardly any.
+    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01, unit = "ratio", reopen)]
+    unknown_below: f32,
     /// Overlap (intersection over union) above which the box with the lower score is dropped, within a class.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
@@ -113,6 +118,8 @@ pub struct MaskRcnn {
     network: Network,
     path: PathBuf,
     family: Family,
+    /// Index of the class `unknown`, if the label table has it.
+    unknown: Option<u32>,
     familiarity: Familiarity,
     candidates: Vec<Candidate>,
     /// Probabilities per candidate, one map after the other: full-size or small maps, or sums of prototypes.
@@ -270,6 +277,26 @@ fn mix(map: &[f32], (width, height): (usize, usize), at: CellPosition, line: &mu
     }
 }
 
+/// Overlap (intersection over union) from which boxes of different classes are of one instrument.
+const ONE_PLACE: f32 = 0.6;
+
+/// Sum of the scores of all classes at a place, of each class the highest.
+fn score_at(candidates: &[Candidate], corners: [f32; 4]) -> f32 {
+    let here = |candidate: &&Candidate| iou(&candidate.corners, &corners) >= ONE_PLACE;
+    let is_best = |candidate: &&Candidate| {
+        let better = |other: &&Candidate| other.class_index == candidate.class_index && other.score > candidate.score;
+        !candidates.iter().filter(here).any(|other| better(&other))
+    };
+    candidates.iter().filter(here).filter(is_best).map(|candidate| candidate.score).sum()
+}
+
+/// Gives a candidate the class `unknown` if its own has too small a share in `any`, the sum of the scores of all classes.
+fn name_unsure(candidate: &mut Candidate, any: f32, unknown_below: f32, unknown: u32) {
+    if candidate.score < unknown_below * any {
+        (candidate.class_index, candidate.score) = (unknown, any.min(1.0));
+    }
+}
+
 /// Memory layout of the boxes: segmenting YOLO exports return them in columns.
 fn rows_of(is_yolo: bool) -> Rows {
     if is_yolo { Rows::Columns } else { Rows::Whole }
@@ -292,6 +319,7 @@ struct Decoding<'a, 'f> {
     net: (usize, usize),
     placement: Placement,
     size: (usize, usize),
+    unknown: Option<u32>,
     damage: &'a mut Damage,
     candidates: &'a mut Vec<Candidate>,
     maps: &'a mut Vec<f32>,
@@ -308,13 +336,19 @@ impl Decoding<'_, '_> {
         Ok(())
     }
 
-    /// Drops dark and overlapping candidates.
+    /// Minimum score of a class that may count.
+    fn floor(&self) -> f32 {
+        self.params.min_score / self.unknown.map_or(1.0, |classes| classes as f32)
+    }
+
+    /// Drops weak, dark and overlapping candidates.
     fn keep_best(&mut self) {
+        self.candidates.retain(|candidate| candidate.score > self.params.min_score);
         let suppression = Suppression {
             max_overlap: self.params.max_overlap,
             is_agnostic: false,
             max_boxes: self.params.max_instances,
-            unknown: None,
+            unknown: self.unknown,
         };
         keep_lit(self.candidates, self.lit, self.size);
         let left_out = suppress(self.candidates, &suppression);
@@ -328,21 +362,29 @@ impl Decoding<'_, '_> {
         let [1, masks, height, width] = prototypes.shape[..] else {
             return Err(error!("the prototypes are {:?}; expected 1xMxHxW", prototypes.shape));
         };
+        let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
+            return Err(error!("boxes and prototypes must be f32"));
+        };
+        let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
+        let classes = len.saturating_sub(4 + masks).max(1);
         let mut decoder = Decoder {
             kind: ExportKind::YoloV8 { extra: masks },
             input: self.net,
             placement: self.placement,
             picture: self.size,
-            min_score: self.params.min_score,
+            min_score: self.floor(),
             min_objectness: f32::INFINITY,
             out: self.candidates,
         };
         decoder.decode(outputs)?;
+        if let Some(unknown) = self.unknown {
+            for candidate in self.candidates.iter_mut() {
+                let score_of = |class: usize| boxes[(4 + class) * rows + candidate.row as usize];
+                let any = (0..classes).map(score_of).sum();
+                name_unsure(candidate, any, self.params.unknown_below, unknown);
+            }
+        }
         self.keep_best();
-        let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
-            return Err(error!("boxes and prototypes must be f32"));
-        };
-        let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
         *self.map_size = (width, height);
         for c in self.candidates.iter() {
             let start = self.maps.len();
@@ -366,7 +408,7 @@ impl Decoding<'_, '_> {
         for row in 0..answer.count {
             let (b, score) = (&answer.boxes[4 * row..4 * row + 4], answer.scores[row]);
             let class = answer.labels.map_or(0, |l| l[row] - first_class);
-            if score > self.params.min_score && class >= 0 {
+            if score > self.floor() && class >= 0 {
                 let corners = [b[0], b[1], b[2], b[3]];
                 self.candidates.extend(Candidate::placed(
                     &self.placement,
@@ -376,6 +418,13 @@ impl Decoding<'_, '_> {
                     class as u32,
                     row,
                 ));
+            }
+        }
+        if let Some(unknown) = self.unknown {
+            // Each class has a row of its own.
+            let sums: Vec<f32> = self.candidates.iter().map(|here| score_at(self.candidates, here.corners)).collect();
+            for (candidate, any) in self.candidates.iter_mut().zip(sums) {
+                name_unsure(candidate, any, self.params.unknown_below, unknown);
             }
         }
         self.keep_best();
@@ -434,10 +483,12 @@ impl Node for MaskRcnn {
         })??;
         network.name_classes(&params.labels, classes)?;
         let familiarity = Familiarity::new(&network.model, channels).map_err(|e| error!("{}: {e}", path.display()))?;
+        let unknown = network.add_unknown(params.unknown_below > 0.0 && network.labels.lines().count() > 1);
         Ok(Self {
             path: network.model.path().to_owned(),
             network,
             family,
+            unknown,
             familiarity,
             candidates: Vec::new(),
             maps: Vec::new(),
@@ -472,6 +523,7 @@ impl Node for MaskRcnn {
             net,
             placement,
             size,
+            unknown: self.unknown,
             damage,
             candidates: &mut self.candidates,
             maps: &mut self.maps,
@@ -497,7 +549,7 @@ impl Node for MaskRcnn {
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {
-            self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s, None);
+            self.tracker.follow(&mut self.items, cx.tick().capture_ns, params.vote_s, self.unknown);
         }
         self.paint(covers, size, params.mask_threshold, cx.pool());
         out.instances.set_instances(&self.items, &self.network.labels, size, &self.bits)

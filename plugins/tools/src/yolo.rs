@@ -220,6 +220,16 @@ impl Network {
         self.labels = labels::table(self.model.path(), self.model.metadata("names"), file, classes)?;
         Ok(())
     }
+
+    /// Adds the class [`UNKNOWN`] to the label table, if it is `wanted`; returns its index.
+    pub fn add_unknown(&mut self, wanted: bool) -> Option<u32> {
+        let index = self.labels.lines().count() as u32;
+        wanted.then(|| {
+            self.labels.push('\n');
+            self.labels.push_str(UNKNOWN);
+            index
+        })
+    }
 }
 
 /// Reports a file of labels that cannot be used.
@@ -304,16 +314,12 @@ impl Node for Yolo {
             Ok((kind, kind.classes(outputs), channels, tips.is_some()))
         })??;
         network.name_classes(&params.labels, classes)?;
-        let names = network.labels.lines().count();
-        let calibration = Calibration::read(classes.max(names), |key| network.model.metadata(key))
-            .map_err(|e| error!("{}: {e}", network.path.display()))?;
+        let calibration =
+            Calibration::read(classes.max(network.labels.lines().count()), |key| network.model.metadata(key))
+                .map_err(|e| error!("{}: {e}", network.path.display()))?;
         let familiarity =
             Familiarity::new(&network.model, channels).map_err(|e| error!("{}: {e}", network.path.display()))?;
-        let unknown = calibration.as_ref().filter(|c| c.objectness.is_some()).map(|_| names as u32);
-        if unknown.is_some() {
-            network.labels.push('\n');
-            network.labels.push_str(UNKNOWN);
-        }
+        let unknown = network.add_unknown(calibration.as_ref().is_some_and(|c| c.objectness.is_some()));
         Ok(Self {
             network,
             kind,

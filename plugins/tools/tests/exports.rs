@@ -471,6 +471,40 @@ fn yolo_seg_masks_are_sums_of_prototypes() {
 }
 
 #[test]
+fn outlines_of_an_uncertain_kind_are_unknown() {
+    if !runtime_is_there() {
+        return;
+    }
+    // Two rows: one whose classes have 0.45 each, and one that is surely of the second class. One prototype, everywhere.
+    let mut values = vec![0.0; 7 * CELLS];
+    let mut row = |cell: usize, numbers: [f32; 7]| {
+        numbers.iter().enumerate().for_each(|(k, x)| values[k * CELLS + cell] = *x);
+    };
+    row(9, [16.0, 16.0, 16.0, 16.0, 0.45, 0.45, 1.0]);
+    row(5, [48.0, 56.0, 16.0, 8.0, 0.0, 0.8, 1.0]);
+    let m = model(vec![
+        ("output0", vec![1, 7, CELLS as i64], Fixed::Floats(values)),
+        ("output1", vec![1, 1, 16, 16], Fixed::Floats(vec![8.0; 256])),
+    ]);
+    let path = m.write(&folder("seg_unknown"), "m.onnx");
+    let found = |params: &str| {
+        let mut node =
+            Harness::<MaskRcnn>::from_toml(&format!("params = {{ model = {path:?}{params} }}")).expect("opens");
+        let out = node.input_image::<Bgr8>("image", 128, 128, &vec![90; 128 * 128 * 3]).process().expect("runs");
+        let found = out.instances("instances").expect("instances").detections();
+        let of = |item: &panoscope_node::abi::Detection| {
+            (found.label(item.class_index).to_owned(), (100.0 * item.score).round())
+        };
+        found.items().iter().map(of).collect::<Vec<_>>()
+    };
+    let hook = ("hook".to_owned(), 80.0);
+    assert_eq!(found(", unknown_below = 0.6"), [("unknown".to_owned(), 90.0), hook.clone()]);
+    // The better class has half of the sum: it is named, and its score is too low.
+    assert_eq!(found(", unknown_below = 0.5"), std::slice::from_ref(&hook));
+    assert_eq!(found(""), [hook]);
+}
+
+#[test]
 fn a_provider_that_is_not_there_leaves_the_network_to_the_processor() {
     if !runtime_is_there() {
         return;
