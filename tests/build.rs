@@ -180,9 +180,7 @@ fn instrumented(file: &Path, module: &str, mutation: Option<&Mutation>) -> Strin
         text = text.replace("std::sync::atomic", "core::sync::atomic");
     }
     // `include!` takes no module documentation.
-    let lines = text
-        .lines()
-        .filter(|line| !line.starts_with("//!") && !["mod domain;", "mod pool;", "mod slot;"].contains(line));
+    let lines = text.lines().filter(|line| !line.starts_with("//!") && !APART.contains(line));
     let text: String = lines.flat_map(|line| [line, "\n"]).collect();
     text
         // Threads of the model have small stacks, and it needs private memory only.
@@ -193,6 +191,9 @@ fn instrumented(file: &Path, module: &str, mutation: Option<&Mutation>) -> Strin
         .replace("std::hint::spin_loop", "crate::shim::hint::spin_loop")
         .replace("thread_local!", "shuttle::thread_local!")
 }
+
+/// Modules that a model has in another form, or not at all.
+const APART: [&str; 5] = ["mod device;", "mod domain;", "mod homes;", "mod pool;", "mod slot;"];
 
 /// Writes the sources of a subject, and adds its module to `modules`.
 fn lay_out(subject: &Subject, mutation: Option<&Mutation>, engine: &Path, out: &Path, modules: &mut String) {

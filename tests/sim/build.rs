@@ -24,8 +24,8 @@ const POISON: [Change; 2] = [
     },
     Change {
         file: "memory/mod.rs",
-        from: "        let id = BufferId { pool: number + 1, reserved: 0, offset };\n",
-        to: "        let id = BufferId { pool: number + 1, reserved: 0, offset };\n\
+        from: "        let id = BufferId { pool: number + 1, home: 0, offset };\n",
+        to: "        let id = BufferId { pool: number + 1, home: 0, offset };\n\
              \x20       // SAFETY: the slot was handed out to this caller alone.\n\
              \x20       unsafe { crate::poison(pool.base.add(offset as usize), pool.room()) };\n",
     },

@@ -15,6 +15,7 @@ mod export;
 mod files;
 mod foreign_models;
 mod golden;
+mod gpu;
 mod graphs;
 mod hostile_models;
 mod isolated_runs;

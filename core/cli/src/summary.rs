@@ -16,9 +16,13 @@ pub fn text(graph: &Graph, report: &Report) -> String {
         report.graph, report.frames, report.seconds, report.fps, report.machine.threads, report.machine.cores
     );
     let skips = report.nodes.values().any(|n| n.skipped > 0);
+    let copies = report.nodes.values().any(|n| n.copies > 0);
     let mut head = cells(["node", "count", "p50 ms", "p99 ms", "max ms", "dropped", "faults"]);
     if skips {
         head.push("skipped".to_owned());
+    }
+    if copies {
+        head.push("copies".to_owned());
     }
     let mut rows = vec![head];
     for &index in &graph.order {
@@ -29,6 +33,9 @@ pub fn text(graph: &Graph, report: &Report) -> String {
         row.extend([node.dropped.to_string(), node.faults.to_string()]);
         if skips {
             row.push(node.skipped.to_string());
+        }
+        if copies {
+            row.push(node.copies.to_string());
         }
         rows.push(row);
     }

@@ -29,7 +29,7 @@
 /**
  * Grows when fields, flags or host functions are appended, or a reserved field gets a name.
  */
-#define PANOSCOPE_ABI_MINOR 5
+#define PANOSCOPE_ABI_MINOR 6
 
 /**
  * Set in PanoscopeCall.flags in `batch` mode.
@@ -127,6 +127,12 @@
 #define PANOSCOPE_NODE_SIDE_EFFECTS 4
 
 /**
+ * The node calls PanoscopeHost.fetch before it reads a frame of PANOSCOPE_HOME_DEVICE. For other nodes the host fetches
+ * all inputs before each call. Since `ABI_MINOR` 6.
+ */
+#define PANOSCOPE_NODE_FETCHES 8
+
+/**
  * The input may stay unconnected, and may be empty for a tick.
  */
 #define PANOSCOPE_PORT_OPTIONAL 1
@@ -207,6 +213,27 @@
  * that has the plugin's name, not to the graph file.
  */
 #define PANOSCOPE_PARAM_SHIPPED 64
+
+/**
+ * Writes `data` into buffer `handle`, from byte `offset` on. `offset` is a multiple of 4.
+ */
+#define PANOSCOPE_DEVICE_WRITE 1
+
+/**
+ * Runs kernel `handle` on `buffers` in `groups` workgroups.
+ */
+#define PANOSCOPE_DEVICE_RUN 2
+
+/**
+ * In PanoscopeBufferId.home: the content is at PanoscopeFrame.data.
+ */
+#define PANOSCOPE_HOME_HOST 0
+
+/**
+ * In PanoscopeBufferId.home: the content may be in the memory of the GPU alone. Before reading PanoscopeFrame.data a node calls
+ * PanoscopeHost.fetch. Only nodes with PANOSCOPE_NODE_FETCHES get such frames.
+ */
+#define PANOSCOPE_HOME_DEVICE 1
 
 /**
  * Payload is raw bytes or plain data of the port's packet type.
@@ -297,9 +324,9 @@ typedef struct PanoscopeBufferId {
      */
     uint32_t pool;
     /**
-     * Reserved, 0.
+     * Where its content is, a `PANOSCOPE_HOME_` constant.
      */
-    uint32_t reserved;
+    uint32_t home;
     /**
      * Byte offset of the buffer in its pool.
      */
@@ -433,7 +460,7 @@ typedef struct PanoscopeFrame {
      */
     struct PanoscopeBufferId buffer;
     /**
-     * First byte of the payload; valid during the call.
+     * First byte of the payload; valid during the call. See PanoscopeBufferId.home.
      */
     uint8_t *data;
     /**
@@ -480,6 +507,101 @@ typedef struct PanoscopeStr {
      */
     size_t len;
 } PanoscopeStr;
+
+/**
+ * One step of PanoscopeDevice.submit.
+ */
+typedef struct PanoscopeDeviceStep {
+    /**
+     * One of the `PANOSCOPE_DEVICE_` constants.
+     */
+    uint32_t kind;
+    /**
+     * Workgroups in x and y.
+     */
+    uint32_t groups[2];
+    /**
+     * Reserved, 0.
+     */
+    uint32_t reserved;
+    /**
+     * The kernel that runs or the buffer that is written.
+     */
+    uint64_t handle;
+    /**
+     * First byte that is written.
+     */
+    uint64_t offset;
+    /**
+     * Buffers of the kernel: binding `i` of group 0 is `buffers[i]`.
+     */
+    const uint64_t *buffers;
+    /**
+     * Count of `buffers`.
+     */
+    size_t buffers_len;
+    /**
+     * Bytes to write; read before `submit` returns.
+     */
+    const uint8_t *data;
+    /**
+     * Count of `data`.
+     */
+    size_t data_len;
+} PanoscopeDeviceStep;
+
+/**
+ * The GPU of a process: buffers in its memory and kernels that compute on them. Kernels and buffers are numbers above
+ * 0. All functions may be called from any thread. What threads submit runs in the order of the calls.
+ */
+typedef struct PanoscopeDevice {
+    /**
+     * Size of this struct in bytes.
+     */
+    uint32_t struct_size;
+    /**
+     * Reserved, 0.
+     */
+    uint32_t reserved;
+    /**
+     * Name of the device, as its driver gives it.
+     */
+    struct PanoscopeStr name;
+    /**
+     * Handle for the functions.
+     */
+    void *ctx;
+    /**
+     * Maximum number of bytes of a buffer.
+     */
+    uint64_t max_buffer_bytes;
+    /**
+     * Compiles a compute shader in WGSL with the entry point `main`, whose bindings are storage buffers of group 0. 0
+     * when that fails.
+     */
+    uint64_t (*kernel)(void *ctx, struct PanoscopeStr label, struct PanoscopeStr source);
+    /**
+     * Makes a buffer of at least `bytes` bytes whose content is unspecified. 0 when that fails.
+     */
+    uint64_t (*buffer)(void *ctx, uint64_t bytes);
+    /**
+     * Gives a kernel or a buffer back. Work that was submitted still has it.
+     */
+    void (*free)(void *ctx, uint64_t handle);
+    /**
+     * Queues steps in their order and returns without waiting for them.
+     */
+    PanoscopeStatus (*submit)(void *ctx, const struct PanoscopeDeviceStep *steps, size_t len);
+    /**
+     * Waits for the work submitted so far and copies bytes of a buffer, from `offset` on, to `to`. `offset` is a
+     * multiple of 4.
+     */
+    PanoscopeStatus (*read)(void *ctx, uint64_t buffer, uint64_t offset, uint8_t *to, size_t len);
+    /**
+     * Why the last function that failed on this thread did; valid until the next one fails.
+     */
+    struct PanoscopeStr (*failure)(void *ctx);
+} PanoscopeDevice;
 
 /**
  * Functions of the host. One table per plugin; valid until the process ends.
@@ -603,6 +725,33 @@ typedef struct PanoscopeHost {
      * PanoscopeHost.set_arrived_ns.
      */
     void (*set_lag_ns)(void *call, int64_t lag_ns);
+    /**
+     * The GPU of this process, opened by the first call. Null when there is none: `reason` then says why.
+     */
+    const struct PanoscopeDevice *(*device)(void *ctx, struct PanoscopeStr *reason);
+    /**
+     * The buffer on the GPU with the content of a frame that the caller holds. The content is copied there when it is
+     * not there yet, and the copy is counted. The buffer is lent as long as the frame is held, for reading alone. 0 when
+     * that fails, see PanoscopeDevice.failure.
+     */
+    uint64_t (*device_buffer)(void *ctx, const struct PanoscopeFrame *frame);
+    /**
+     * As PanoscopeHost.alloc, with the content on the GPU: the node writes into `buffer`, which is lent as long as the
+     * frame is held.
+     */
+    PanoscopeStatus (*alloc_on_device)(void *call,
+                                       uint32_t output,
+                                       uint32_t format,
+                                       uint32_t width,
+                                       uint32_t height,
+                                       uint32_t stride_bytes,
+                                       size_t len,
+                                       uint64_t *buffer);
+    /**
+     * Makes sure that the content of a frame that the caller holds is at PanoscopeFrame.data. A copy from the GPU is
+     * counted. When that fails, the content is black or NaN and the run reports it.
+     */
+    PanoscopeStatus (*fetch)(void *ctx, const struct PanoscopeFrame *frame);
 } PanoscopeHost;
 
 /**
@@ -1417,7 +1566,7 @@ PANOSCOPE_ASSERT(sizeof(PanoscopeParamValue) == 56);
 PANOSCOPE_ASSERT(sizeof(PanoscopeOpenCall) == 80);
 PANOSCOPE_ASSERT(sizeof(PanoscopeValidateCall) == 96);
 PANOSCOPE_ASSERT(sizeof(PanoscopeCall) == 128);
-PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 168);
+PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 200);
 PANOSCOPE_ASSERT(sizeof(PanoscopePort) == 64);
 PANOSCOPE_ASSERT(sizeof(PanoscopeParam) == 136);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 168);

@@ -1183,6 +1183,7 @@ class NodeTypes:
         dark_level: Whole = ...,
         beyond_mask_px: Whole = ...,
         scale: Whole = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> DisparityWls:
@@ -1202,7 +1203,8 @@ class NodeTypes:
         highlight_level: Gray level from which a pixel is a highlight and not trusted; 256 trusts all. (1 to 256; default 250)
         dark_level: Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all. (-1 to 255; default 4)
         beyond_mask_px: Fills the map so far beyond the mask, where the picture is not black, at a width of 640 px. `rectify` ends its masks 5 px inside of the rim, and the surface goes on there. (0 to 16 px; default 0)
-        scale: Factor by which maps and picture are shrunk before they are filtered, for maps that were matched so: as good at a fraction of the time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560. (0 to 8; default 1)"""
+        scale: Factor by which maps and picture are shrunk before they are filtered, for maps that were matched so: as good at a fraction of the time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560. (0 to 8; default 1)
+        device: What solves the filter's systems, with the same map to 0.01 px. A GPU pays when large maps are not shrunk. Without one the processor does it, with a warning. (default "cpu")"""
 
     def disparity_wls_opencv(
         self,

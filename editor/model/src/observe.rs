@@ -525,6 +525,7 @@ impl Worker {
                 age_p99_ms: path.map(|path| path.age_p99_ms),
                 count: of_run.count,
                 dropped: of_run.dropped,
+                copies: of_run.copies,
                 ..NodeWindow::default()
             };
             (id, window)

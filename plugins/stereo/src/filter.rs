@@ -1,17 +1,20 @@
 //! `disparity_wls` and `disparity_fbs`: smooth, edge-true disparity maps (thesis, fig. 3.7).
 
 use std::ops::Range;
+use std::sync::PoisonError;
 
-use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{
-    BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams,
+    BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams, WlsSolver,
 };
+use panoscope_imaging::{Rect, Report};
+use panoscope_node::device::{Device, given_up};
 use panoscope_node::{
     AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result,
     Slot, Validation, View, ViewMut, error,
 };
 
 use crate::coarse::{Coarse, Job, factor};
+use crate::gpu::wls::{GpuWlsSolver, Guide};
 use crate::matcher::check_kernel;
 
 /// Inputs of both filters.
@@ -218,6 +221,9 @@ pub struct DisparityWlsParams {
     /// time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560.
     #[param(default = 1, range = 0..=8)]
     scale: usize,
+    /// What solves the filter's systems, with the same map to 0.01 px. A GPU pays when large maps are not shrunk. Without one the processor does it, with a warning.
+    #[param(default = "cpu")]
+    device: Device,
 }
 
 /// What a distance of colours becomes when the picture is gray.
@@ -247,9 +253,34 @@ impl DisparityWlsParams {
 /// Weighted-least-squares filter.
 pub struct DisparityWls {
     kernel: WlsFilter,
+    device: Device,
+    /// The guide for a solver on the GPU.
+    guide: Guide,
     coarse: Coarse,
     /// Columns of the mask in each row.
     lit: Vec<Range<usize>>,
+}
+
+impl DisparityWls {
+    /// Chooses what solves the systems.
+    fn choose(&mut self, device: Device, report: &dyn Report) {
+        if device != self.device {
+            self.device = device;
+            let solver = device.open(report, |gpu| GpuWlsSolver::new(gpu, self.guide.clone()));
+            self.kernel.set_solver(solver.map(|solver| Box::new(solver) as Box<dyn WlsSolver>));
+        }
+    }
+
+    /// Gives the picture to a solver on the GPU. One that does not get there is copied by the solver.
+    fn give_guide(&self, image: &AnyImage<'_>, factor: usize) {
+        if self.kernel.has_solver() {
+            let there = || match image.as_plane::<Bgr8>() {
+                Some(image) => image.on_device().ok(),
+                None => image.as_plane::<Gray8>()?.on_device().ok(),
+            };
+            *self.guide.lock().unwrap_or_else(PoisonError::into_inner) = if factor == 1 { there() } else { None };
+        }
+    }
 }
 
 impl Node for DisparityWls {
@@ -266,8 +297,16 @@ impl Node for DisparityWls {
         check_kernel(check, params.kernel(1).validate());
     }
 
-    fn open(_: &Open<'_>, params: &DisparityWlsParams) -> Result<Self> {
-        Ok(Self { kernel: WlsFilter::new(params.kernel(1))?, coarse: Coarse::default(), lit: Vec::new() })
+    fn open(open: &Open<'_>, params: &DisparityWlsParams) -> Result<Self> {
+        let mut node = Self {
+            kernel: WlsFilter::new(params.kernel(1))?,
+            device: Device::Cpu,
+            guide: Guide::default(),
+            coarse: Coarse::default(),
+            lit: Vec::new(),
+        };
+        node.choose(params.device, open);
+        Ok(node)
     }
 
     fn process<'f>(
@@ -282,12 +321,18 @@ impl Node for DisparityWls {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted)?;
         }
+        self.choose(params.device, cx);
+        self.give_guide(&input.image, factor);
         let (kernel, coarse) = (&mut self.kernel, &mut self.coarse);
         filter(&input, &mut out, &params.trust, &mut self.lit, |job| {
             coarse.run(factor, job, cx.pool(), |job| {
                 Ok(kernel.compute(job.given, cx.pool(), job.disparity, job.confidence)?)
             })
-        })
+        })?;
+        if let Some(reason) = self.kernel.take_solver_fault() {
+            cx.warn(&given_up(&reason));
+        }
+        Ok(())
     }
 }
 

@@ -3,6 +3,7 @@
 mod coarse;
 mod evaluate;
 mod filter;
+pub mod gpu;
 mod matcher;
 mod measure;
 mod on_device;

@@ -12,7 +12,7 @@ pub struct In<'f> {
     /// Rectified left view.
     pub left: Image<'f, Gray8>,
     /// Rectified right view of the same instant, same size.
-    right: Image<'f, Gray8>,
+    pub right: Image<'f, Gray8>,
     /// Part of the left view that is matched; the whole view when unconnected.
     roi: Option<Value<'f, abi::Roi>>,
     /// Calibration of the rectified views; read only with `rectified_only`.

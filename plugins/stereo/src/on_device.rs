@@ -1,8 +1,10 @@
 //! Block matching on the processor or on the GPU, which find the same disparities.
 
-use panoscope_gpu::{Device, GpuBlockMatcher, GpuError, given_up};
 use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, StereoError, StereoKernel, Tile, project_right};
 use panoscope_imaging::{Parallel, Rect, Report, View, ViewMut};
+use panoscope_node::device::{Device, DeviceImage, given_up};
+
+use crate::gpu::block_matching::GpuBlockMatcher;
 
 /// A block matcher that works on the device of its choice.
 pub struct DeviceMatcher {
@@ -37,8 +39,16 @@ impl DeviceMatcher {
         }
     }
 
+    /// Gives the GPU, if it matches, the views of the next call as they are there: `views` is asked for them. `None` when
+    /// it is to take them from the host's memory.
+    pub fn set_views(&mut self, views: impl FnOnce() -> panoscope_node::Result<Option<[DeviceImage; 2]>>) {
+        let Some(gpu) = &mut self.gpu else { return };
+        let given = views().map(|views| gpu.set_views(views));
+        self.is_done(given);
+    }
+
     /// Whether the GPU did its work; one that failed is given up.
-    fn is_done(&mut self, worked: Result<(), GpuError>) -> bool {
+    fn is_done(&mut self, worked: panoscope_node::Result<()>) -> bool {
         if let Err(error) = &worked {
             self.gpu = None;
             self.fault = Some(error.to_string());

@@ -1,12 +1,12 @@
 //! `rectify`: turns both views so that a point lies on one row in both (thesis, fig. 3.5).
 
-use panoscope_gpu::{Device, Rectifier, RectifyJob, given_up};
 use panoscope_imaging::lit::{LitFinder, LitPart};
 use panoscope_imaging::shrink::shrink;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_imaging::{Rect, View, ViewMut};
 use panoscope_node::abi::{Calibration, Camera};
+use panoscope_node::device::{Device, given_up};
 use panoscope_node::{
     Bgr8, Choice, Context, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Retained, Slot, Validation, Value,
     error,
@@ -14,6 +14,7 @@ use panoscope_node::{
 
 use panoscope_data::calibration::packet as calibration;
 
+use crate::gpu::rectify::{Rectifier, RectifyJob};
 use crate::order::{OrderWatch, PairState};
 
 /// Inputs.
@@ -210,23 +211,24 @@ fn make_masks(
     right.make(&out.right, &mut out.mask_right, valid_right, params.find_rim)
 }
 
-/// Shrinks and turns both views on the GPU. Whether it did; a GPU that fails is given up.
-fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> Result<bool> {
-    let Some(rectifier) = &mut maps.rectifier else { return Ok(false) };
+/// Shrinks and turns both views on the GPU, where they stay. Whether it did; a GPU that fails is given up.
+fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> bool {
+    let Some(rectifier) = &mut maps.rectifier else { return false };
     let size = (maps.target.left.width as usize, maps.target.left.height as usize);
     let slots = [(&input.left, &mut out.left), (&input.right, &mut out.right)];
     let mut jobs = [None, None];
-    for (job, (view, slot)) in jobs.iter_mut().zip(slots) {
+    let made = slots.into_iter().zip(&mut jobs).try_for_each(|((view, slot), job)| {
         if slot.is_read() {
-            *job = Some(RectifyJob { view: view.view(), out: slot.alloc(size.0, size.1)? });
+            *job = Some(RectifyJob { view: view.on_device()?, out: slot.alloc_on_device(size.0, size.1)? });
         }
-    }
-    if let Err(error) = rectifier.run(jobs, cx.pool()) {
+        Ok(())
+    });
+    if let Err(error) = made.and_then(|()| rectifier.run(jobs)) {
         cx.warn(&given_up(&error));
         maps.rectifier = None;
-        return Ok(false);
+        return false;
     }
-    Ok(true)
+    true
 }
 
 /// Hands a view on, shrunk and turned by the map, if there is one.
@@ -390,7 +392,7 @@ impl Node for Rectify {
             PairState::Late => {}
             PairState::Exchanged => return Ok(()),
         }
-        if !make_on_gpu(maps, &input, &mut out, cx)? {
+        if !make_on_gpu(maps, &input, &mut out, cx) {
             let [left, right] = match &maps.tables {
                 Some([left, right]) => [Some(left), Some(right)],
                 None => [None, None],

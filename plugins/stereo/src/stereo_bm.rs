@@ -1,7 +1,7 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
-use panoscope_gpu::Device;
 use panoscope_imaging::stereo::BlockMatchingParams;
+use panoscope_node::device::Device;
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
 use crate::coarse::factor;
@@ -94,6 +94,10 @@ impl Node for StereoBm {
         self.kernel.kernel.set_params(params.kernel(self.kernel.factor))?;
         self.kernel.kernel.choose(params.device, cx);
         let factor = self.kernel.factor;
+        self.kernel.kernel.set_views(|| {
+            let views = || Ok([input.left.on_device()?, input.right.on_device()?]);
+            if factor == 1 { views().map(Some) } else { Ok(None) }
+        });
         let rim_px = rim_px(params.kernel(factor).block_px) * factor;
         let search = (&params.search, params.left_right_px, rim_px);
         process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)?;

@@ -1,29 +1,45 @@
 //! Nodes on the GPU: the same bytes as on the processor, which also does the work where there is none.
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 use crate::common::{SIZE, bgr, pair, rectified};
-use panoscope_node::abi::Calibration;
-use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
+use crate::gpu::support::table;
+use panoscope_node::abi::{Calibration, Device};
+use panoscope_node::harness::{Harness, HarnessError, Level, Setup, lend_device};
 use panoscope_node::{Bgr8, Disparity, Gray8};
-use panoscope_stereo::{Rectify, StereoBm};
+use panoscope_stereo::{DisparityWls, Rectify, StereoBm};
 
 type TestResult = Result<(), HarnessError>;
 
-/// Either a GPU computes, or a warning says why the processor does.
-fn says_what_computes<N>(node: &Harness<N>) {
+/// The device that a node computes on: a GPU if this process has one, otherwise the processor, with a warning.
+fn check_device<N>(node: &Harness<N>, has_gpu: bool) {
     let lines: Vec<_> = node.logs().iter().map(|line| (line.level, line.message.as_str())).collect();
     let on_gpu = matches!(&lines[..], [(Level::Info, message)] if message.starts_with("computes on "));
     let without =
         matches!(&lines[..], [(Level::Warn, message)] if message.contains("the processor computes the images: "));
-    assert!(on_gpu || without, "{lines:?}");
+    assert!(if has_gpu { on_gpu } else { without }, "{lines:?}");
+}
+
+/// The GPU is that of the process: one test at a time.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A GPU for the nodes of this process, and none.
+fn devices() -> Vec<Option<&'static Device>> {
+    vec![table(), None]
 }
 
 #[test]
 fn rectified_views_do_not_depend_on_the_device() -> TestResult {
+    let _alone = alone();
     let (left, right) = pair(|_, _| 40.0, 0.0);
     let mut cameras = Calibration { is_rectified: 0, ..rectified(300.0, 15.0) };
     cameras.left.distortion[0] = -0.1;
     cameras.right.distortion[1] = 0.05;
-    for scale in [1, 2] {
+    for (scale, gpu) in [1, 2].into_iter().flat_map(|scale| devices().into_iter().map(move |gpu| (scale, gpu))) {
+        lend_device(gpu);
         let mut made = Vec::new();
         for device in ["cpu", "gpu"] {
             let mut node =
@@ -35,7 +51,7 @@ fn rectified_views_do_not_depend_on_the_device() -> TestResult {
                 made.push([out.plane::<Bgr8>("left")?.data.to_vec(), out.plane::<Bgr8>("right")?.data.to_vec()]);
             }
             if device == "gpu" {
-                says_what_computes(&node);
+                check_device(&node, gpu.is_some());
             }
         }
         assert!(made[0][0].iter().any(|value| *value > 0));
@@ -46,8 +62,10 @@ fn rectified_views_do_not_depend_on_the_device() -> TestResult {
 
 #[test]
 fn disparities_do_not_depend_on_the_device() -> TestResult {
+    let _alone = alone();
     let (left, right) = pair(|x, _| 30.0 + x / 40.0, 0.0);
-    for scale in [1, 2] {
+    for (scale, gpu) in [1, 2].into_iter().flat_map(|scale| devices().into_iter().map(move |gpu| (scale, gpu))) {
+        lend_device(gpu);
         let mut made = Vec::new();
         for device in ["cpu", "gpu"] {
             let params = format!("params = {{ search_px = 64, scale = {scale}, device = \"{device}\" }}");
@@ -60,7 +78,7 @@ fn disparities_do_not_depend_on_the_device() -> TestResult {
             let [map, map_right] = maps;
             made.push([map?, map_right?]);
             if device == "gpu" {
-                says_what_computes(&node);
+                check_device(&node, gpu.is_some());
             }
         }
         for (of_cpu, of_gpu) in made[0].iter().flatten().zip(made[1].iter().flatten()) {
@@ -68,6 +86,33 @@ fn disparities_do_not_depend_on_the_device() -> TestResult {
             assert!(is_same, "scale {scale}: {of_cpu} and {of_gpu}");
         }
         assert!(made[0][0].iter().any(|value| value.is_finite()));
+    }
+    Ok(())
+}
+
+#[test]
+fn smoothed_maps_hardly_depend_on_the_device() -> TestResult {
+    let _alone = alone();
+    let (left, _) = pair(|_, _| 40.0, 0.0);
+    let rough: Vec<f32> =
+        (0..SIZE.0 * SIZE.1).map(|i| if i % 7 == 0 { f32::NAN } else { 30.0 + (i % 5) as f32 / 9.0 }).collect();
+    for (scale, gpu) in [1, 2].into_iter().flat_map(|scale| devices().into_iter().map(move |gpu| (scale, gpu))) {
+        lend_device(gpu);
+        let mut made = Vec::new();
+        for device in ["cpu", "gpu"] {
+            let params = format!("params = {{ scale = {scale}, device = \"{device}\" }}");
+            let mut node = Harness::<DisparityWls>::open(Setup::new(&params))?;
+            node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &bgr(&left));
+            node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &rough);
+            made.push(node.process()?.plane::<Disparity>("disparity")?.data.to_vec());
+            if device == "gpu" {
+                check_device(&node, gpu.is_some());
+            }
+        }
+        for (of_cpu, of_gpu) in made[0].iter().zip(&made[1]) {
+            assert!((of_cpu.is_nan() && of_gpu.is_nan()) || (of_cpu - of_gpu).abs() < 0.01, "{of_cpu} and {of_gpu}");
+        }
+        assert!(made[0].iter().any(|value| value.is_finite()));
     }
     Ok(())
 }

@@ -5,6 +5,7 @@ mod device;
 mod evaluation;
 mod filters;
 mod geometry;
+mod gpu;
 mod lit;
 mod matching;
 mod order;

@@ -1,8 +1,8 @@
 //! `composite`: combines overlapping views and their homographies into one wide image (thesis, chapter 2.2 and Alg. 2.3).
 
+use std::sync::PoisonError;
 use std::time::Duration;
 
-use panoscope_gpu::{Device, Warper, given_up};
 use panoscope_imaging::Report;
 use panoscope_imaging::lit::HeldMask;
 use panoscope_imaging::stitch::{
@@ -10,11 +10,13 @@ use panoscope_imaging::stitch::{
     Painter, SeamCost, SeamMethod,
 };
 use panoscope_node::abi::{self, Homography, Roi, Scalar};
+use panoscope_node::device::{Device, given_up};
 use panoscope_node::{
     Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TextPacket,
     Validation, Value, View, error,
 };
 
+use crate::gpu::warp::{Sources, Warper};
 use crate::view_gain::ViewGain;
 
 /// Method that finds the seam between two views.
@@ -168,6 +170,8 @@ pub(crate) struct Drawer {
     pub kernel: Compositor,
     masks: [HeldMask; MAX_VIEWS],
     device: Device,
+    /// Views for a painter on the GPU.
+    sources: Sources,
     /// Number of seams found since the node was opened.
     seams: u64,
     gain: ViewGain,
@@ -182,6 +186,7 @@ impl Drawer {
             kernel,
             masks: Default::default(),
             device: Device::Cpu,
+            sources: Sources::default(),
             seams: 0,
             gain: ViewGain::default(),
             captured_ns: None,
@@ -193,8 +198,22 @@ impl Drawer {
     fn choose(&mut self, device: Device, report: &dyn Report) {
         if device != self.device {
             self.device = device;
-            let painter = device.open(report, Warper::new);
+            let painter = device.open(report, |gpu| Warper::new(gpu, self.sources.clone()));
             self.kernel.set_painter(painter.map(|warper| Box::new(warper) as Box<dyn Painter>));
+        }
+    }
+
+    /// Gives the views of the tick to a painter on the GPU, if there is one.
+    pub(crate) fn give_views(&self, inputs: &SceneInputs<'_, '_>) {
+        if !self.kernel.has_painter() {
+            return;
+        }
+        let mut sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
+        sources.clear();
+        // A view that does not get there is missed by the painter, which is then given up.
+        match inputs.views {
+            Some(views) => sources.extend(views.iter().flatten().filter_map(|view| view.on_device().ok())),
+            None => sources.extend(inputs.pair.iter().flatten().filter_map(|view| view.on_device().ok())),
         }
     }
 
@@ -519,6 +538,7 @@ impl Node for Composite {
             masks: input.masks.as_ref(),
         };
         self.drawer.take_masks(&inputs)?;
+        self.drawer.give_views(&inputs);
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
         if params.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {

@@ -396,6 +396,7 @@ impl Node for CompositeMesh {
             masks: input.masks.as_ref(),
         };
         self.drawer.take_masks(&inputs)?;
+        self.drawer.give_views(&inputs);
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         if let Some(report) = self.follow_all(cx, &input, &scene, params)? {
             cx.metric("mesh_observations", report.observations as f64);

@@ -9,6 +9,7 @@ mod cut_views;
 mod evaluate_mosaic;
 mod evaluate_stitch;
 mod features_surf;
+pub mod gpu;
 pub mod mosaic;
 mod register_grid;
 mod register_surf;

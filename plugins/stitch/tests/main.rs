@@ -5,5 +5,8 @@ mod composite_lost;
 mod composite_mesh;
 mod device;
 mod errors;
+mod gpu_warp;
 mod instruments;
 mod mosaic;
+#[path = "../../../tests/support/gpu.rs"]
+mod support;

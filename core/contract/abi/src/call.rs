@@ -1,6 +1,6 @@
 use core::ffi::c_void;
 
-use crate::{BufferId, ChunkFn, Frame, PortRange, Status, Str, Tick};
+use crate::{BufferId, ChunkFn, Device, Frame, PortRange, Status, Str, Tick};
 
 /// A parameter's value at a point in time.
 #[repr(C)]
@@ -220,6 +220,29 @@ pub struct Host {
     /// values). Readers see this age. An output never looks younger than the oldest input. A source uses
     /// [`Host::set_arrived_ns`].
     pub set_lag_ns: Option<unsafe extern "C" fn(call: *mut c_void, lag_ns: i64)>,
+    /// The GPU of this process, opened by the first call. Null when there is none: `reason` then says why.
+    pub device: Option<unsafe extern "C" fn(ctx: *mut c_void, reason: *mut Str) -> *const Device>,
+    /// The buffer on the GPU with the content of a frame that the caller holds. The content is copied there when it is
+    /// not there yet, and the copy is counted. The buffer is lent as long as the frame is held, for reading alone. 0 when
+    /// that fails, see [`Device::failure`].
+    pub device_buffer: Option<unsafe extern "C" fn(ctx: *mut c_void, frame: *const Frame) -> u64>,
+    /// As [`Host::alloc`], with the content on the GPU: the node writes into `buffer`, which is lent as long as the
+    /// frame is held.
+    pub alloc_on_device: Option<
+        unsafe extern "C" fn(
+            call: *mut c_void,
+            output: u32,
+            format: u32,
+            width: u32,
+            height: u32,
+            stride_bytes: u32,
+            len: usize,
+            buffer: *mut u64,
+        ) -> Status,
+    >,
+    /// Makes sure that the content of a frame that the caller holds is at [`Frame::data`]. A copy from the GPU is
+    /// counted. When that fails, the content is black or NaN and the run reports it.
+    pub fetch: Option<unsafe extern "C" fn(ctx: *mut c_void, frame: *const Frame) -> Status>,
 }
 
 /// For [`Host::arrived_ns`] and [`Host::age_ns`]: the tick of the call, whatever its inputs are.

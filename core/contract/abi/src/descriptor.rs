@@ -15,6 +15,9 @@ pub const NODE_SOURCE: u32 = 1;
 pub const NODE_EXCLUSIVE: u32 = 2;
 /// The node acts on the world outside the graph (writes files, moves an arm).
 pub const NODE_SIDE_EFFECTS: u32 = 4;
+/// The node calls [`Host::fetch`] before it reads a frame of [`crate::HOME_DEVICE`]. For other nodes the host fetches
+/// all inputs before each call. Since `ABI_MINOR` 6.
+pub const NODE_FETCHES: u32 = 8;
 
 /// The input may stay unconnected, and may be empty for a tick.
 pub const PORT_OPTIONAL: u32 = 1;

@@ -24,11 +24,17 @@ pub struct Tick {
 pub struct BufferId {
     /// Pool number; 0 means no buffer.
     pub pool: u32,
-    /// Reserved, 0.
-    pub reserved: u32,
+    /// Where its content is, a `HOME_` constant.
+    pub home: u32,
     /// Byte offset of the buffer in its pool.
     pub offset: u64,
 }
+
+/// In [`BufferId::home`]: the content is at [`Frame::data`].
+pub const HOME_HOST: u32 = 0;
+/// In [`BufferId::home`]: the content may be in the memory of the GPU alone. Before reading [`Frame::data`] a node calls
+/// [`crate::Host::fetch`]. Only nodes with [`crate::NODE_FETCHES`] get such frames.
+pub const HOME_DEVICE: u32 = 1;
 
 /// Payload is raw bytes or plain data of the port's packet type.
 pub const FORMAT_BYTES: u32 = 0;
@@ -51,7 +57,7 @@ pub const FORMAT_CLOUD: u32 = 6;
 pub struct Frame {
     /// The buffer; `pool` 0 means that the port is empty for this tick.
     pub buffer: BufferId,
-    /// First byte of the payload; valid during the call.
+    /// First byte of the payload; valid during the call. See [`BufferId::home`].
     pub data: *mut u8,
     /// Bytes in use.
     pub len: usize,
@@ -70,7 +76,7 @@ pub struct Frame {
 impl Frame {
     /// An empty port.
     pub const EMPTY: Frame = Frame {
-        buffer: BufferId { pool: 0, reserved: 0, offset: 0 },
+        buffer: BufferId { pool: 0, home: HOME_HOST, offset: 0 },
         data: core::ptr::null_mut(),
         len: 0,
         format: 0,

@@ -11,12 +11,14 @@
 
 mod call;
 mod descriptor;
+mod device;
 mod frame;
 mod note;
 mod packets;
 
 pub use call::*;
 pub use descriptor::*;
+pub use device::*;
 pub use frame::*;
 pub use note::*;
 pub use packets::*;
@@ -26,7 +28,7 @@ pub const MAGIC: u64 = 0x504F_4353_4F4E_4150;
 /// Plugins of another major version are refused.
 pub const ABI_MAJOR: u32 = 1;
 /// Grows when fields, flags or host functions are appended, or a reserved field gets a name.
-pub const ABI_MINOR: u32 = 5;
+pub const ABI_MINOR: u32 = 6;
 /// The one symbol a plugin exports, an [`Entry`].
 pub const ENTRY_SYMBOL: &str = "panoscope_plugin";
 

@@ -7,7 +7,7 @@ use std::process::Command;
 
 use panoscope_abi as abi;
 
-const SOURCES: [&str; 6] = ["lib.rs", "frame.rs", "packets.rs", "note.rs", "call.rs", "descriptor.rs"];
+const SOURCES: [&str; 7] = ["lib.rs", "frame.rs", "packets.rs", "note.rs", "device.rs", "call.rs", "descriptor.rs"];
 
 const HEAD: &str = "/*
  * The binary contract between the Panoscope host and its plugins.
@@ -72,9 +72,10 @@ fn generate() -> String {
     builder.with_config(config).generate().expect("the sources have a C form").write(&mut bytes);
     let generated = String::from_utf8(bytes).expect("headers are UTF-8");
     let mut generated = links_to_c(&generated, &types);
-    for family in
-        ["CALL_", "FORMAT_", "INPUT_", "KIND_", "LOG_", "NODE_", "PARAM_", "PORT_", "PROBLEM_", "STATE_", "STATUS_"]
-    {
+    for family in [
+        "CALL_", "DEVICE_", "FORMAT_", "HOME_", "INPUT_", "KIND_", "LOG_", "NODE_", "PARAM_", "PORT_", "PROBLEM_",
+        "STATE_", "STATUS_",
+    ] {
         generated = generated.replace(&format!("`{family}"), &format!("`PANOSCOPE_{family}"));
     }
     let generated: String = generated

@@ -33,7 +33,9 @@ impl<N: Node> NodeTypeOf<N> {
         },
         flags: if N::INFO.source { abi::NODE_SOURCE } else { 0 }
             | if N::INFO.exclusive { abi::NODE_EXCLUSIVE } else { 0 }
-            | if N::INFO.side_effects { abi::NODE_SIDE_EFFECTS } else { 0 },
+            | if N::INFO.side_effects { abi::NODE_SIDE_EFFECTS } else { 0 }
+            // The types of this crate fetch what they read.
+            | abi::NODE_FETCHES,
         reserved: 0,
         name: Str::new(N::INFO.name),
         family: Str::new(N::INFO.family),

@@ -22,6 +22,14 @@ fn host() -> Option<&'static abi::Host> {
     unsafe { HOST.load(Ordering::Acquire).as_ref() }
 }
 
+/// A function that later versions of the host have, with the host; `None` in earlier ones.
+macro_rules! late {
+    ($host:ident, $field:ident) => {{
+        let end = std::mem::offset_of!(abi::Host, $field) + size_of::<usize>();
+        $host.$field.filter(|_| $host.struct_size as usize >= end).map(|function| ($host, function))
+    }};
+}
+
 pub(crate) fn retain(buffer: abi::BufferId) {
     if let Some(host) = host()
         && let Some(retain) = host.retain
@@ -37,6 +45,43 @@ pub(crate) fn release(buffer: abi::BufferId) {
     {
         // SAFETY: `Retained` calls this once per `retain`, so the buffer still has this reference.
         unsafe { release(host.ctx, buffer) }
+    }
+}
+
+/// The GPU of the process, or why there is none.
+pub(crate) fn device() -> Result<&'static abi::Device, String> {
+    const NONE: &str = "the program offers none to its nodes";
+    let Some(device) = host().and_then(|host| late!(host, device)) else { return Err(NONE.to_owned()) };
+    let mut reason = abi::Str::EMPTY;
+    // SAFETY: the host's own handle, and a place for the reason.
+    let table = unsafe { device.1(device.0.ctx, &raw mut reason).as_ref() };
+    // SAFETY: the host keeps the reason readable.
+    table.ok_or_else(|| unsafe { reason.text() }.filter(|reason| !reason.is_empty()).unwrap_or(NONE).to_owned())
+}
+
+/// See [`abi::Host::device_buffer`]; 0 when that fails.
+pub(crate) fn device_buffer(frame: &abi::Frame) -> u64 {
+    match host().and_then(|host| late!(host, device_buffer)) {
+        // SAFETY: the host lends the frame to the running call, or the caller retains it.
+        Some((host, buffer)) => unsafe { buffer(host.ctx, frame) },
+        None => 0,
+    }
+}
+
+/// Makes sure that the content of a frame is at its address, see [`abi::Host::fetch`].
+#[inline]
+pub(crate) fn fetch(frame: &abi::Frame) {
+    if frame.buffer.home != abi::HOME_HOST {
+        fetch_now(frame);
+    }
+}
+
+#[cold]
+fn fetch_now(frame: &abi::Frame) {
+    if let Some((host, fetch)) = host().and_then(|host| late!(host, fetch)) {
+        // SAFETY: the host lends the frame to the running call, or the caller retains it.
+        // The host itself reports a failure.
+        unsafe { fetch(host.ctx, frame) };
     }
 }
 

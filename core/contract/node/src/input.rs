@@ -7,6 +7,7 @@ use panoscope_base::format;
 
 use crate::View;
 use crate::abi;
+use crate::device::DeviceImage;
 use crate::error::{NodeError, Result};
 use crate::host;
 use crate::packet::{Bgr8, Gray8, Packet, Plain, Plane};
@@ -188,8 +189,14 @@ impl<'f, P: Plane> Image<'f, P> {
 
     /// The pixels.
     pub fn view(&self) -> View<'f, P::Element> {
+        host::fetch(self.frame);
         let (data, stride) = elements(self.frame, P::CHANNELS).unwrap_or((&[], 0));
         View::with_stride(data, self.width(), self.height(), P::CHANNELS, stride)
+    }
+
+    /// The buffer on the GPU with these pixels: copied there if they are not there yet.
+    pub fn on_device(&self) -> Result<DeviceImage> {
+        DeviceImage::of(self.frame)
     }
 
     /// Capture time of the frame, in ns of media time.
@@ -268,7 +275,7 @@ impl<'f> AnyImage<'f> {
 #[derive(Clone, Copy)]
 pub struct Picture<'f> {
     frame: &'f abi::Frame,
-    view: View<'f, u8>,
+    channels: usize,
 }
 
 impl<'f> FromFrame<'f> for Picture<'f> {
@@ -282,8 +289,8 @@ impl<'f> FromFrame<'f> for Picture<'f> {
                 return Err(NodeError::new(format!("expected a colour or gray image, got format {other}")));
             }
         };
-        let (data, stride) = elements(frame, channels)?;
-        Ok(Self { frame, view: View::with_stride(data, frame.width as usize, frame.height as usize, channels, stride) })
+        elements::<u8>(frame, channels)?;
+        Ok(Self { frame, channels })
     }
 }
 
@@ -294,17 +301,19 @@ impl<'f> Picture<'f> {
 
     /// Columns in px.
     pub fn width(&self) -> usize {
-        self.view.width
+        self.frame.width as usize
     }
 
     /// Rows.
     pub fn height(&self) -> usize {
-        self.view.height
+        self.frame.height as usize
     }
 
     /// The pixels: 3 channels, or 1.
     pub fn view(&self) -> View<'f, u8> {
-        self.view
+        host::fetch(self.frame);
+        let (data, stride) = elements(self.frame, self.channels).unwrap_or((&[], 0));
+        View::with_stride(data, self.width(), self.height(), self.channels, stride)
     }
 }
 
@@ -323,6 +332,7 @@ impl<P: Plane> Retained<P> {
 
     /// The pixels.
     pub fn view(&self) -> View<'_, P::Element> {
+        host::fetch(&self.frame);
         let image: Image<'_, P> = Image { frame: &self.frame, plane: PhantomData };
         let (data, stride) = elements(image.frame, P::CHANNELS).unwrap_or((&[], 0));
         View::with_stride(data, image.width(), image.height(), P::CHANNELS, stride)
@@ -365,6 +375,7 @@ impl<'f, T: Packet> FromFrame<'f> for Value<'f, T> {
         if frame.len < size_of::<T>() || !frame.data.addr().is_multiple_of(align_of::<T>()) {
             return Err(NodeError::new(format!("`{}` is {} bytes, {} arrived", T::NAME, size_of::<T>(), frame.len)));
         }
+        host::fetch(frame);
         // SAFETY: size and alignment are checked above; `Packet` guarantees that every bit pattern is valid.
         Ok(Self { value: unsafe { &*frame.data.cast::<T>() }, frame })
     }
@@ -423,6 +434,7 @@ impl<'f> Cloud<'f> {
         if count == 0 {
             return &[];
         }
+        host::fetch(self.frame);
         // SAFETY: `from_frame` checked size and alignment, and the host lends the bytes for `'f`.
         unsafe { std::slice::from_raw_parts(self.frame.data.cast(), count) }
     }
@@ -462,6 +474,7 @@ pub(crate) fn bytes(frame: &abi::Frame) -> &[u8] {
     if frame.len == 0 {
         return &[];
     }
+    host::fetch(frame);
     // SAFETY: the host lends `len` bytes at `data` for the length of the call.
     unsafe { std::slice::from_raw_parts(frame.data, frame.len) }
 }

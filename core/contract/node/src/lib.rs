@@ -8,6 +8,7 @@ extern crate self as panoscope_node;
 
 pub mod context;
 pub mod detections;
+pub mod device;
 pub mod error;
 pub mod export;
 mod guard;

@@ -6,6 +6,8 @@ use std::marker::PhantomData;
 
 use crate::ViewMut;
 use crate::abi;
+use crate::context::has;
+use crate::device::DeviceImage;
 use crate::error::{NodeError, Result};
 use crate::input::Retained;
 use crate::packet::{
@@ -207,6 +209,32 @@ impl<P: Plane> Slot<'_, P> {
     /// Allocates the output: `width` x `height` pixels, rows without padding, contents unspecified.
     pub fn alloc(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, P::Element>> {
         self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
+    }
+
+    /// Makes the output on the GPU: `width` x `height` pixels, in rows with room for whole groups of four, so that a
+    /// thread can write whole words. The node writes into the returned buffer; readers on the processor get a copy when
+    /// they look.
+    pub fn alloc_on_device(&mut self, width: usize, height: usize) -> Result<DeviceImage> {
+        let stride = DeviceImage::stride_bytes(width, P::CHANNELS * size_of::<P::Element>());
+        let size = [width, height, stride].map(u32::try_from);
+        let ([Ok(columns), Ok(rows), Ok(stride_bytes)], Some(len)) = (size, stride.checked_mul(height)) else {
+            return Err(NodeError::new(format!("an output of {width}x{height} is too large")));
+        };
+        let mut buffer = 0;
+        // SAFETY: the host's call is valid for `'f`, and so is its function table.
+        let status = unsafe {
+            let call = self.call.raw();
+            let host = &*(*call).host;
+            let end = std::mem::offset_of!(abi::Host, alloc_on_device) + size_of::<usize>();
+            match host.alloc_on_device.filter(|_| has(host, end)) {
+                Some(alloc) => {
+                    alloc((*call).call, self.index, P::FORMAT, columns, rows, stride_bytes, len, &raw mut buffer)
+                }
+                None => abi::STATUS_INVALID,
+            }
+        };
+        outcome(status, len)?;
+        Ok(DeviceImage { buffer, width, height, stride_bytes: stride })
     }
 
     /// Hands on a retained frame as an output of this tick, so that its age counts from this tick.

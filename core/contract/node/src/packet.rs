@@ -151,6 +151,12 @@ pub(crate) fn bytes_of<T: Plain>(items: &[T]) -> &[u8] {
     unsafe { std::slice::from_raw_parts(items.as_ptr().cast(), size_of_val(items)) }
 }
 
+/// The bytes of plain data, for writing.
+pub(crate) fn bytes_of_mut<T: Plain>(items: &mut [T]) -> &mut [u8] {
+    // SAFETY: plain data has no padding, and every bit pattern is valid.
+    unsafe { std::slice::from_raw_parts_mut(items.as_mut_ptr().cast(), size_of_val(items)) }
+}
+
 /// Size of a field, which must be plain data; called by the derive.
 pub const fn plain_size<T: Plain>() -> usize {
     size_of::<T>()

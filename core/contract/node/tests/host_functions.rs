@@ -187,7 +187,7 @@ fn forward_and_make_mut() {
     assert!(refused(null).ends_with("a null frame"));
     assert!(refused(empty).ends_with("output 0, which is empty"));
     let foreign: Script = |c, h| {
-        let foreign = Frame { buffer: abi::BufferId { pool: u32::MAX, reserved: 0, offset: 0 }, ..Frame::EMPTY };
+        let foreign = Frame { buffer: abi::BufferId { pool: u32::MAX, home: 0, offset: 0 }, ..Frame::EMPTY };
         // SAFETY: the harness checks the frame.
         unsafe { h.forward.expect("")(c.call, 0, &foreign) }
     };

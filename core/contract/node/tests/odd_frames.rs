@@ -10,7 +10,7 @@ use panoscope_node::*;
 struct Bytes([u8; 64]);
 
 fn frame(bytes: &mut Bytes, spoil: impl FnOnce(&mut Frame)) -> Frame {
-    let buffer = abi::BufferId { pool: 1, reserved: 0, offset: 0 };
+    let buffer = abi::BufferId { pool: 1, home: 0, offset: 0 };
     let mut frame = Frame { buffer, data: bytes.0.as_mut_ptr(), len: 64, ..Frame::EMPTY };
     spoil(&mut frame);
     frame

@@ -43,6 +43,9 @@ pub(crate) trait Running {
 
     /// The tick that it processes.
     fn tick(&self) -> Tick;
+
+    /// Counts a copy of a frame that its call made necessary.
+    fn count_copy(&self);
 }
 
 /// Work of the calling thread for a node. Copied into threads that help it with a loop.
@@ -72,6 +75,14 @@ pub(crate) fn begin_call(node: &(dyn Running + 'static)) {
 #[inline]
 pub(crate) fn end_call() {
     CALL.with(|call| call.set(None));
+}
+
+/// Counts a copy of a frame for the node whose `process` the calling thread runs, if there is one.
+pub(crate) fn count_copy() {
+    if let Some(node) = CALL.with(Slot::get) {
+        // SAFETY: set by `begin_call` or `help`: the call is under way below on this thread, or on one that waits for this one, and borrows it.
+        unsafe { &*node }.count_copy();
+    }
 }
 
 /// Source slot and number of a tick.

@@ -49,6 +49,8 @@ pub(crate) struct Exec {
     first: Port,
     pub outputs_len: u32,
     pub source: bool,
+    /// Whether the node fetches frames from the GPU before it reads them.
+    pub fetches: bool,
     pub bypassed: bool,
     /// Whether one of the counts of faults below is not 0.
     pub troubled: bool,
@@ -122,6 +124,7 @@ impl Exec {
             first: rules.first().map_or(first, port),
             outputs_len: rules.len() as u32,
             source: node_type.flags & abi::NODE_SOURCE != 0,
+            fetches: node_type.flags & abi::NODE_FETCHES != 0,
             bypassed: false,
             troubled: true,
             limited: false,

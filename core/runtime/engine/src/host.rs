@@ -14,7 +14,7 @@ use crate::exec::CallTimes;
 use crate::fault::Cause;
 use crate::light::{Sources, is_same, later};
 use crate::log::Level;
-use crate::memory::{FrameRef, Memory, MemoryError, memory};
+use crate::memory::{FrameRef, Memory, MemoryError, device_table, memory};
 use crate::node::NodeRuntime;
 use crate::outputs;
 use crate::pool;
@@ -153,6 +153,17 @@ impl CallContext<'_> {
         shown.tick = tick;
     }
 
+    /// Says where the content of an output is.
+    fn set_home(&mut self, index: u32, home: u32) {
+        if (index as usize) < self.outputs_len {
+            // SAFETY: `shown` and `outputs` hold `outputs_len` frames each.
+            unsafe {
+                (*self.outputs.add(index as usize)).buffer.home = home;
+                (*self.shown.add(index as usize)).buffer.home = home;
+            }
+        }
+    }
+
     /// Lag of a forwarded frame: one that was made at another tick, such as a retained one, keeps the age of its light.
     #[inline]
     fn lag_of(&self, tick: &abi::Tick) -> u32 {
@@ -237,6 +248,60 @@ unsafe extern "C" fn alloc(
     }
 }
 
+unsafe extern "C" fn alloc_on_device(
+    call: *mut c_void,
+    output: u32,
+    format: u32,
+    width: u32,
+    height: u32,
+    stride_bytes: u32,
+    len: usize,
+    buffer: *mut u64,
+) -> Status {
+    // SAFETY: the plugin's promise to `alloc`, which is the same.
+    let status = unsafe { alloc(call, output, format, width, height, stride_bytes, len) };
+    // SAFETY: see `call_context`; null or a place for the buffer.
+    let (Some(call_context), Some(place)) = (unsafe { (call_context(call), buffer.as_mut()) }) else {
+        return abi::STATUS_INVALID;
+    };
+    let Some(&mut frame) = call_context.output(output).filter(|_| status == abi::STATUS_OK) else { return status };
+    let Some(handle) = memory().place_on_device(frame.buffer, len) else {
+        // The output stays in the host's memory, where nobody made it.
+        call_context.place(output, &Frame::EMPTY);
+        return abi::STATUS_ERROR;
+    };
+    *place = handle;
+    call_context.set_home(output, abi::HOME_DEVICE);
+    abi::STATUS_OK
+}
+
+unsafe extern "C" fn device(_: *mut c_void, reason: *mut Str) -> *const abi::Device {
+    // SAFETY: null or a place for the reason (the contract).
+    unsafe { device_table(reason) }
+}
+
+unsafe extern "C" fn device_buffer(_: *mut c_void, frame: *const Frame) -> u64 {
+    // SAFETY: the frame is read for the length of this function; null gives `None`.
+    let Some(frame) = (unsafe { frame.as_ref() }) else { return 0 };
+    if !memory().retain_checked(frame) {
+        return 0;
+    }
+    let handle = memory().device_buffer(frame);
+    memory().release(frame.buffer);
+    handle.unwrap_or(0)
+}
+
+unsafe extern "C" fn fetch(_: *mut c_void, frame: *const Frame) -> Status {
+    // SAFETY: the frame is read for the length of this function; null gives `None`.
+    let Some(frame) = (unsafe { frame.as_ref() }) else { return abi::STATUS_INVALID };
+    if !memory().retain_checked(frame) {
+        return abi::STATUS_INVALID;
+    }
+    let is_there = memory().fetch(frame);
+    memory().release(frame.buffer);
+    if is_there { abi::STATUS_OK } else { abi::STATUS_ERROR }
+}
+
 /// Makes `frame`, a buffer of the domain of the node's group with one reference, output `output` of the running call,
 /// as [`abi::Host::alloc`] does with a new one. Only buffer and description of the frame are used. With `is_copy` it is
 /// a copy of the output, as [`abi::Host::make_mut`] makes one: only the buffer is used.
@@ -319,7 +384,10 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     let lent = call_context.lent.is_some_and(|lent| lent.output == output);
     // An isolated node cannot write the frames of this process.
     let own = call_context.runtime.domain().is_none_or(|domain| Memory::domain_of(frame.buffer) == domain);
+    memory().fetch(&frame);
     if !lent && own && memory().references(frame.buffer) == 1 {
+        memory().forget_twin(frame.buffer);
+        call_context.set_home(output, abi::HOME_HOST);
         call_context.written |= output_bit(output);
         return abi::STATUS_OK;
     }
@@ -469,6 +537,10 @@ pub(crate) fn table(threads: usize) -> Host {
         arrived_ns: Some(times::arrived_ns),
         age_ns: Some(times::age_ns),
         set_lag_ns: Some(times::set_lag_ns),
+        device: Some(device),
+        device_buffer: Some(device_buffer),
+        alloc_on_device: Some(alloc_on_device),
+        fetch: Some(fetch),
     }
 }
 

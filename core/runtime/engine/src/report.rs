@@ -77,7 +77,7 @@ pub struct NodeReport {
     pub over_budget: u64,
     /// Maximum time from a fault to the end of the next successful call.
     pub recovery_max_ms: f64,
-    /// Frames copied because the node wrote to a shared one.
+    /// Frames copied because the node wrote to a shared one, or between the memories of processor and GPU.
     pub copies: u64,
     /// Frames converted for its readers.
     pub conversions: u64,
@@ -306,6 +306,9 @@ pub struct NodeWindow {
     pub faults: u64,
     /// Restarts.
     pub restarts: u64,
+    /// Frames copied so far because the node wrote to a shared one, or between the memories of processor and GPU.
+    #[serde(default)]
+    pub copies: u64,
     /// Metrics of the node.
     pub metrics: Vec<(String, f64)>,
     /// The queues at its inputs, edge by edge.
@@ -366,6 +369,7 @@ impl Window {
                 dropped: stats.dropped.load(Ordering::Relaxed),
                 faults: stats.faults.load(Ordering::Relaxed),
                 restarts: stats.restarts.load(Ordering::Relaxed),
+                copies: stats.copies.load(Ordering::Relaxed),
                 metrics: runtime.progress.metrics(),
                 queues: queues(runtime),
             };

@@ -162,7 +162,7 @@ pub struct NodeStats {
     pub faults: AtomicU64,
     /// Restarts.
     pub restarts: AtomicU64,
-    /// Frames copied because the node wrote to a shared one.
+    /// Frames copied because the node wrote to a shared one, or between the memories of processor and GPU.
     pub copies: AtomicU64,
     /// Frames converted for readers that want another format.
     pub conversions: AtomicU64,

@@ -15,6 +15,7 @@ use crate::clock;
 use crate::fault::{Action, Cause};
 use crate::guard::{CallError, OpenError};
 use crate::log::Level;
+use crate::memory::lost_on_device;
 use crate::node::NodeRuntime;
 use crate::outbox::panic_words;
 use crate::plan::Plan;
@@ -41,6 +42,7 @@ impl Shared {
         let mut next_look_ns = 0;
         let mut sleeps = Sleeps::default();
         let mut refused = retained::refused_outside();
+        let mut lost = lost_on_device().0;
         while !stop.load(Ordering::Relaxed) {
             let (nearest, budgets) = {
                 let plan = self.plan.load();
@@ -74,6 +76,11 @@ impl Shared {
                 if refused != before {
                     let words = "a plugin's thread released or retained a frame that the plugin does not hold; the host refused this";
                     self.context.log.write(Level::Error, "engine", words);
+                }
+                let (now_lost, reason) = lost_on_device();
+                if std::mem::replace(&mut lost, now_lost) != now_lost {
+                    let words = format!("frames were lost on the GPU and are black or unknown: {reason}");
+                    self.context.log.write(Level::Error, "engine", &words);
                 }
             }
         }

@@ -256,3 +256,25 @@ fn a_limited_node_takes_ticks_with_all_inputs_that_come_at_lower_rates() {
     run("batch", &limited_reader(&path, 1000), options(2, 240));
     assert!((35..=40).contains(&ledger(&path).len()), "{:?}", ledger(&path));
 }
+
+/// In a live graph they take turns.
+#[test]
+fn nodes_of_one_rate_run_at_the_same_ticks() {
+    let paths = ["a", "b"].map(|name| scratch(&format!("together-{name}.jsonl")));
+    let mut graph = r#"
+[nodes.source]
+type = "frames"
+params = { width_px = 16, height_px = 16, rate_hz = 60.0 }
+"#
+    .to_owned();
+    for (name, path) in ["a", "b"].into_iter().zip(&paths) {
+        let path = path.display();
+        graph += &format!(
+            "[nodes.{name}]\ntype = \"ledger\"\ninputs = {{ images = [\"source.image\"] }}\nparams = {{ path = \"{path}\" }}\nmax_rate_hz = 15.0\n"
+        );
+    }
+    run("batch", &graph, options(2, 120));
+    let [a, b] = paths.each_ref().map(|path| ledger(path));
+    assert_eq!(a.len(), 30, "{a:?}");
+    assert_eq!(a, b);
+}

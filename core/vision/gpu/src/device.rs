@@ -1,7 +1,9 @@
-//! The GPU device of the process.
+//! Finds and opens a device.
 
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::staging::Staging;
+use crate::table::Items;
 use wgpu::{Adapter, Backends, Device, DeviceDescriptor, DeviceType, Instance, InstanceDescriptor, MemoryHints, Queue};
 
 /// Environment variable that chooses a device: a part of its name, or `software` for a software device (for tests).
@@ -26,9 +28,9 @@ pub enum GpuError {
         /// Message of the driver.
         reason: String,
     },
-    /// An image does not fit into a buffer of the device.
+    /// A buffer is too large for the device.
     #[error(
-        "{name} takes buffers of at most {limit_bytes} bytes, but this image needs {bytes}: use smaller images, or the processor"
+        "{name} takes buffers of at most {limit_bytes} bytes, but {bytes} are needed: use smaller images, or the processor"
     )]
     TooLarge {
         /// The device.
@@ -38,6 +40,14 @@ pub enum GpuError {
         /// Bytes that a buffer may have.
         limit_bytes: u64,
     },
+    /// A number that names no kernel or buffer, or a step that does not fit it.
+    #[error("a step for {name} is wrong: {reason}")]
+    Step {
+        /// The device.
+        name: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// The device failed while it worked.
     #[error("{name} failed: {reason}")]
     Failed {
@@ -45,12 +55,6 @@ pub enum GpuError {
         name: String,
         /// Message of the driver.
         reason: String,
-    },
-    /// Images and maps do not fit together.
-    #[error("{what}")]
-    Input {
-        /// Description of the mismatch.
-        what: String,
     },
 }
 
@@ -61,19 +65,11 @@ pub struct Gpu {
     pub(crate) queue: Queue,
     name: String,
     fault: Arc<Mutex<Option<String>>>,
+    pub(crate) items: Items,
+    pub(crate) staging: Staging,
 }
 
-static SHARED: OnceLock<Result<Arc<Gpu>, GpuError>> = OnceLock::new();
-
 impl Gpu {
-    /// The device of this process; opens it at the first call, which takes some tenths of a second.
-    ///
-    /// # Errors
-    /// [`GpuError::NotFound`] and [`GpuError::Refused`], the same at each call.
-    pub fn shared() -> Result<Arc<Self>, GpuError> {
-        SHARED.get_or_init(|| Self::open(std::env::var(CHOICE).ok().as_deref()).map(Arc::new)).clone()
-    }
-
     /// Opens a device. `choice` as in [`CHOICE`]; without one a discrete GPU goes before an integrated one, and a
     /// software device is not used.
     ///
@@ -112,7 +108,7 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&seen, error.to_string())));
         let seen = fault.clone();
         device.set_device_lost_callback(move |_, reason| note(&seen, format!("the device was lost: {reason}")));
-        Ok(Self { device, queue, name, fault })
+        Ok(Self { device, queue, name, fault, items: Items::default(), staging: Staging::default() })
     }
 
     /// Name of the device, as its driver gives it.
@@ -133,10 +129,15 @@ impl Gpu {
         GpuError::Failed { name: self.name.clone(), reason: reason.to_string() }
     }
 
+    /// Maximum number of bytes of a buffer that a kernel uses.
+    pub(crate) fn max_buffer_bytes(&self) -> u64 {
+        let limits = self.device.limits();
+        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+    }
+
     /// Checks that a buffer of this size can be used by a kernel.
     pub(crate) fn check_size(&self, bytes: u64) -> Result<(), GpuError> {
-        let limits = self.device.limits();
-        let limit_bytes = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
+        let limit_bytes = self.max_buffer_bytes();
         if bytes > limit_bytes {
             return Err(GpuError::TooLarge { name: self.name.clone(), bytes, limit_bytes });
         }

@@ -206,6 +206,7 @@ impl App {
                 sum.dropped += node.dropped;
                 sum.faults += node.faults;
                 sum.restarts += node.restarts;
+                sum.copies += node.copies;
                 sum.age_p50_ms = [sum.age_p50_ms, node.age_p50_ms].into_iter().flatten().reduce(f64::max);
                 sum.age_p99_ms = [sum.age_p99_ms, node.age_p99_ms].into_iter().flatten().reduce(f64::max);
             }

@@ -266,6 +266,9 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView, requests: &mut Vec
         rows.push((text!("node-age"), text!("node-median", median = format_time(p50), slow = format_time(p99))));
     }
     rows.push((text!("node-ticks"), text!("node-ticks-are", count = c.count, dropped = c.dropped)));
+    if c.copies > 0 {
+        rows.push((text!("node-copies"), c.copies.to_string()));
+    }
     for (name, value) in c.metrics.iter().take(8) {
         rows.push((name, with_decimal_sign(&panoscope_editor_model::picture::short(*value))));
     }

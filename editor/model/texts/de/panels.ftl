@@ -176,6 +176,7 @@ node-time = Zeit
 node-age = Alter
 node-median = { $median }  ·  p99 { $slow }
 node-ticks = Takte
+node-copies = Kopien
 node-ticks-are = { $count }  ·  { $dropped } verloren
 node-trace = warum Takte verloren gehen
     .name = Warum Takte verloren gehen

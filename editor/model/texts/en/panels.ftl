@@ -176,6 +176,7 @@ node-time = time
 node-age = age
 node-median = { $median }  ·  p99 { $slow }
 node-ticks = ticks
+node-copies = copies
 node-ticks-are = { $count }  ·  { $dropped } dropped
 node-trace = why ticks are dropped
     .name = Why ticks are dropped

@@ -8,7 +8,7 @@ use super::error::HarnessError;
 use super::host::{CallState, Reported, Times, bare_call};
 use super::inputs::Pending;
 use super::outputs::Outputs;
-use super::{Harness, memory};
+use super::{Harness, memory, on_device};
 
 /// Media time between two ticks: 30 ticks per second.
 const TICK_NS: i64 = 33_333_333;
@@ -184,6 +184,7 @@ impl<N> Harness<N> {
         };
         // SAFETY: the instance is open and used by this thread only; all that the call points to are locals that outlive it.
         let status = unsafe { process(instance, &mut call) };
+        on_device::end(self.pool, &mut outputs);
         let (tick, set_times) = (call.tick, state.set_times());
         let (failure, problem) = self.take_reported(state.into_reported());
         let mut result =

@@ -10,8 +10,8 @@ use panoscope_base::random::SplitMix64;
 use crate::abi::{self, BufferId, Frame, Status, Str, Tick};
 
 use super::files::Files;
-use super::memory;
 use super::{Level, LogLine, Metric, Setup};
+use super::{memory, on_device};
 
 /// The state of a running call; the call's handle points to it.
 pub(super) struct CallState {
@@ -98,7 +98,7 @@ impl CallState {
 
     /// # Safety
     /// `call` is the handle of the running call.
-    unsafe fn of<'a>(call: *mut c_void) -> Option<&'a CallState> {
+    pub(super) unsafe fn of<'a>(call: *mut c_void) -> Option<&'a CallState> {
         // SAFETY: the caller passes the handle of the running call, whose state lives until the call returns; null gives `None`.
         unsafe { call.cast::<CallState>().as_ref() }
     }
@@ -113,7 +113,7 @@ impl CallState {
         abi::STATUS_INVALID
     }
 
-    fn output(&self, index: u32) -> Option<*mut Frame> {
+    pub(super) fn output(&self, index: u32) -> Option<*mut Frame> {
         // SAFETY: the index is below the number of outputs, which `new` took from a slice.
         ((index as usize) < self.outputs_len).then(|| unsafe { self.outputs.add(index as usize) })
     }
@@ -176,6 +176,10 @@ pub(super) fn table(threads: usize) -> Box<abi::Host> {
         arrived_ns: Some(arrived_ns),
         age_ns: Some(age_ns),
         set_lag_ns: Some(set_lag_ns),
+        device: Some(on_device::device),
+        device_buffer: Some(on_device::device_buffer),
+        alloc_on_device: Some(on_device::alloc_on_device),
+        fetch: Some(on_device::fetch),
     })
 }
 
@@ -185,7 +189,7 @@ pub(super) fn attached() -> &'static abi::Host {
     TABLE.get_or_init(|| table(1))
 }
 
-unsafe extern "C" fn alloc(
+pub(super) unsafe extern "C" fn alloc(
     call: *mut c_void,
     output: u32,
     format: u32,

@@ -87,7 +87,7 @@ pub(super) fn allocate(pool: u32, len: usize) -> Option<(BufferId, *mut u8)> {
     let mut buffer = Buffer { memory, holders: 1 };
     let address = buffer.address();
     entry.buffers.insert(offset, buffer);
-    Some((BufferId { pool, reserved: 0, offset }, address))
+    Some((BufferId { pool, home: 0, offset }, address))
 }
 
 /// Adds a reference; false when there is no such buffer.

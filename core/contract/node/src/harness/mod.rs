@@ -16,6 +16,7 @@ mod files;
 mod host;
 mod inputs;
 mod memory;
+mod on_device;
 mod outputs;
 mod params;
 
@@ -28,6 +29,7 @@ use panoscope_graph::{NodeSetup, NodeType, ParamProblem, ParamValue, Wiring};
 
 pub use error::HarnessError;
 pub use files::Files;
+pub use on_device::lend_device;
 pub use outputs::Outputs;
 
 use crate::Node;

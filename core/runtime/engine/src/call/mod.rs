@@ -20,7 +20,7 @@ use crate::instance::Instance;
 use crate::isolation::STATUS_DIED;
 use crate::light::{Sources, later};
 use crate::log::Level;
-use crate::memory::{FrameRef, Memory, memory};
+use crate::memory::{FrameRef, Memory, device_in_use, memory};
 use crate::node::{NodeRuntime, SizeChange};
 use crate::observe::Event;
 use crate::outputs::is_same;
@@ -371,6 +371,9 @@ impl NodeRuntime {
         ports: &mut Ports<'_>,
     ) -> (abi::Status, Option<Refused>) {
         let Some(process) = exec.process else { return (abi::STATUS_INVALID, None) };
+        if device_in_use() && !exec.fetches {
+            ports.inputs.iter().for_each(|input| _ = memory().fetch(input.frame()));
+        }
         let made = &mut *ports.made;
         match &mut made.shown[..] {
             [one] => *one = abi::Frame::EMPTY,

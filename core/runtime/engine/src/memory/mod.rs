@@ -8,7 +8,9 @@
 //! come from a domain that their processes map read-only, and each group of isolated nodes makes its outputs in a
 //! separate domain, see [`Domain`].
 
+mod device;
 mod domain;
+mod homes;
 mod pool;
 
 use std::sync::OnceLock;
@@ -16,8 +18,10 @@ use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
 use panoscope_abi::{BufferId, Frame};
 
+pub use self::device::{DeviceMemory, OpenDevice, device_table, open_device_by};
 use self::domain::Shared;
 pub use self::domain::{Domain, DomainError, SharedFrames};
+pub(crate) use self::homes::{in_use as device_in_use, lost as lost_on_device};
 pub use self::pool::PoolFile;
 use self::pool::{Backing, CANARY_BYTES, Pool};
 
@@ -143,7 +147,7 @@ impl Memory {
         let uses = &pool.uses[slot as usize];
         uses.store(uses.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
         let offset = (slot as u64) << bits;
-        let id = BufferId { pool: number + 1, reserved: 0, offset };
+        let id = BufferId { pool: number + 1, home: 0, offset };
         // SAFETY: the slot lies inside the reserved mapping.
         Ok((id, unsafe { pool.base.add(offset as usize) }))
     }
@@ -231,6 +235,10 @@ impl Memory {
             // Orders the reads of all former owners before the next use. A load and not a fence, which ThreadSanitizer does not know.
             pool.references[slot].load(Ordering::Acquire);
             self.in_use_bytes.fetch_sub(1 << pool.bits, Ordering::Relaxed);
+            if pool.has_twin[slot].load(Ordering::Relaxed) != 0 {
+                pool.has_twin[slot].store(0, Ordering::Relaxed);
+                self.drop_twin(id);
+            }
             pool.put_back(slot as u32);
         }
     }
@@ -293,11 +301,12 @@ impl FrameRef {
         self.0.is_empty()
     }
 
-    /// The bytes; empty for an empty port.
+    /// The bytes, fetched from the GPU if they are there alone; empty for an empty port.
     pub fn bytes(&self) -> &[u8] {
         if self.0.is_empty() || self.0.len == 0 {
             return &[];
         }
+        memory().fetch(&self.0);
         // SAFETY: this reference keeps the buffer alive; nodes write only buffers that nobody shares.
         unsafe { std::slice::from_raw_parts(self.0.data, self.0.len) }
     }
@@ -343,10 +352,10 @@ mod tests {
     fn hostile_ids_name_nothing() {
         let memory = memory();
         for id in [
-            BufferId { pool: 0, reserved: 0, offset: 0 },
-            BufferId { pool: 999, reserved: 0, offset: 0 },
-            BufferId { pool: 3, reserved: 0, offset: 77 },
-            BufferId { pool: 3, reserved: 0, offset: u64::MAX },
+            BufferId { pool: 0, home: 0, offset: 0 },
+            BufferId { pool: 999, home: 0, offset: 0 },
+            BufferId { pool: 3, home: 0, offset: 77 },
+            BufferId { pool: 3, home: 0, offset: u64::MAX },
         ] {
             assert!(memory.resolve(id).is_null());
             memory.retain(id);

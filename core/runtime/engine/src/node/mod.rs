@@ -28,7 +28,7 @@ use crate::join::Join;
 use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::preview::{HearNumberFn, Subscribers};
-use crate::stats::NodeStats;
+use crate::stats::{NodeStats, bump};
 use crate::sync::lock;
 
 /// A node of a running graph. The fields that every call touches lie in the first cache line.
@@ -297,5 +297,9 @@ impl Running for NodeRuntime {
 
     fn tick(&self) -> Tick {
         self.busy.tick()
+    }
+
+    fn count_copy(&self) {
+        bump(&self.stats.copies);
     }
 }

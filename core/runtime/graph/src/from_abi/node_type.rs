@@ -13,6 +13,9 @@ use crate::catalog::{NodeKind, NodeType};
 /// Size of the struct in the first version of the contract: all before `validate`, bytes.
 const MIN_SIZE: usize = abi::NodeType::FIRST_SIZE;
 
+/// Flags of a node type.
+const NODE_FLAGS: u32 = abi::NODE_SOURCE | abi::NODE_EXCLUSIVE | abi::NODE_SIDE_EFFECTS | abi::NODE_FETCHES;
+
 /// A copy of a descriptor in which fields that its plugin does not have are null.
 ///
 /// # Safety
@@ -67,7 +70,7 @@ pub(super) unsafe fn node_type(
         abi::KIND_REALTIME => NodeKind::Realtime,
         found => return Err(FromAbiError::Unknown { place, field: "kind", found }),
     };
-    known_bits(&place, "flags", node.flags, abi::NODE_SOURCE | abi::NODE_EXCLUSIVE | abi::NODE_SIDE_EFFECTS)?;
+    known_bits(&place, "flags", node.flags, NODE_FLAGS)?;
     let functions =
         [("open", node.open.is_some()), ("process", node.process.is_some()), ("close", node.close.is_some())];
     if let Some((function, _)) = functions.into_iter().find(|(_, there)| !there) {

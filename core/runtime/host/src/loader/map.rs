@@ -7,6 +7,7 @@ use std::time::Duration;
 use crate::isolate::{Describer, Description};
 use panoscope_abi as abi;
 use panoscope_engine::loading;
+use panoscope_engine::memory::open_device_by;
 use panoscope_graph::from_abi::problems_of;
 use panoscope_graph::{NodeSetup, NodeType, ParamProblem, Severity, Validator};
 
@@ -163,6 +164,7 @@ fn map(plugin: &PluginFile, image: &Path) -> Result<Loaded, LoadError> {
     loading::remember(&entries, file);
     // SAFETY: `checked` read the descriptor, which stays mapped.
     if let Some(attach) = unsafe { (*descriptor).attach } {
+        open_device_by(panoscope_gpu::table);
         // SAFETY: `plugin_table` returns a table that is never freed.
         let status = loading::run(file, || unsafe { attach(loading::plugin_table(descriptor)) });
         if status != abi::STATUS_OK {

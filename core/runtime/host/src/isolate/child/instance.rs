@@ -8,7 +8,7 @@ use panoscope_abi::{self as abi, Frame, NodeType, Status, Str};
 use panoscope_engine::isolation::STATUS_DIED;
 
 use super::table::{self, CallFrame, ChildLane};
-use super::{Child, EXIT_PROTOCOL, describe, leave, pools};
+use super::{Child, EXIT_PROTOCOL, describe, leave, on_device, pools};
 use crate::isolate::lane::{Lost, Side};
 use crate::isolate::wire::lane::{Kind, Open, TickDone, TickRequest};
 use crate::isolate::wire::{BadMessage, Params, Reader, Wire, whole};
@@ -260,6 +260,7 @@ impl<'c> Instance<'c> {
             Some(process) => unsafe { process(self.raw, &raw mut call) },
             None => abi::STATUS_INVALID,
         };
+        let status = if on_device::end() { status } else { abi::STATUS_ERROR };
         self.done.tick = call.tick;
         self.node = frame.node;
         let position = &mut self.done.position;

@@ -4,6 +4,7 @@
 mod crash;
 mod describe;
 mod instance;
+mod on_device;
 mod pools;
 mod table;
 

@@ -10,9 +10,10 @@ use std::sync::{Mutex, PoisonError};
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str, Tick};
 use panoscope_base::random::SplitMix64;
 use panoscope_engine::isolation::fits;
+use panoscope_engine::memory::device_table;
 use panoscope_engine::{pool, random_seed};
 
-use super::pools;
+use super::{on_device, pools};
 use crate::isolate::lane::{Lane, Side};
 use crate::isolate::wire::lane::{Age, Clock, CopyWanted, Forwarded, Kind, Made, Reserved, TickRequest, Wanted};
 use crate::isolate::wire::{MAX_TEXT_BYTES, Reader, Wire, put_bytes};
@@ -272,6 +273,7 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     // SAFETY: see `frame`.
     let Some(call) = (unsafe { frame(call) }) else { return abi::STATUS_INVALID };
     let Some(shown) = call.shown(output).filter(|shown| !shown.is_empty()) else { return abi::STATUS_INVALID };
+    on_device::bring();
     if call.lane.is_unshared(shown.buffer) {
         return abi::STATUS_OK;
     }
@@ -462,6 +464,47 @@ unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
     }
 }
 
+unsafe extern "C" fn device(_: *mut c_void, reason: *mut Str) -> *const abi::Device {
+    // SAFETY: null or a place for the reason (the contract).
+    unsafe { device_table(reason) }
+}
+
+unsafe extern "C" fn device_buffer(_: *mut c_void, given: *const Frame) -> u64 {
+    // SAFETY: the frame is read for the length of this function; null gives `None`.
+    match unsafe { given.as_ref() } {
+        // SAFETY: the node holds the frame, whose pool is mapped.
+        Some(given) if pools::resolve(given.buffer) == given.data => unsafe { on_device::upload(given) }.unwrap_or(0),
+        _ => 0,
+    }
+}
+
+unsafe extern "C" fn alloc_on_device(
+    call: *mut c_void,
+    output: u32,
+    format: u32,
+    width: u32,
+    height: u32,
+    stride_bytes: u32,
+    len: usize,
+    buffer: *mut u64,
+) -> Status {
+    // SAFETY: the plugin's promise to `alloc`, which is the same.
+    let status = unsafe { alloc(call, output, format, width, height, stride_bytes, len) };
+    // SAFETY: see `frame`; null or a place for the buffer.
+    let (Some(call), Some(place)) = (unsafe { (frame(call), buffer.as_mut()) }) else { return abi::STATUS_INVALID };
+    let Some(made) = call.shown(output).filter(|_| status == abi::STATUS_OK) else { return status };
+    let Some(handle) = on_device::make(made) else { return abi::STATUS_ERROR };
+    *place = handle;
+    let buffer = BufferId { home: abi::HOME_DEVICE, ..made.buffer };
+    call.show(output, Frame { buffer, ..made });
+    abi::STATUS_OK
+}
+
+unsafe extern "C" fn fetch(_: *mut c_void, _: *const Frame) -> Status {
+    // What the host sends is in memory. What this call made on the GPU comes when it ends.
+    if on_device::bring() { abi::STATUS_OK } else { abi::STATUS_ERROR }
+}
+
 /// The function table for plugins in the child.
 pub(super) fn table(threads: u32) -> Host {
     Host {
@@ -488,5 +531,9 @@ pub(super) fn table(threads: u32) -> Host {
         arrived_ns: Some(arrived_ns),
         age_ns: Some(age_ns),
         set_lag_ns: Some(set_lag_ns),
+        device: Some(device),
+        device_buffer: Some(device_buffer),
+        alloc_on_device: Some(alloc_on_device),
+        fetch: Some(fetch),
     }
 }

@@ -244,6 +244,8 @@ impl Remote {
 
     /// An input in memory that the child can map.
     fn shared(&mut self, input: &Frame) -> Result<Frame, NotShared> {
+        // Its process has another GPU, or none.
+        memory().fetch(input);
         if input.is_empty() || self.gives(input)? {
             return Ok(*input);
         }

@@ -307,7 +307,7 @@ impl Wire for BufferId {
 
     #[inline]
     fn take(reader: &mut Reader<'_>) -> Result<Self, BadMessage> {
-        Ok(Self { pool: reader.take()?, reserved: 0, offset: reader.take()? })
+        Ok(Self { pool: reader.take()?, home: 0, offset: reader.take()? })
     }
 }
 
@@ -455,7 +455,7 @@ mod tests {
             floats_len: 2,
         };
         let frame = Frame {
-            buffer: BufferId { pool: 7, reserved: 0, offset: 1 << 40 },
+            buffer: BufferId { pool: 7, home: 0, offset: 1 << 40 },
             len: 12,
             format: 2,
             width: 2,

@@ -22,6 +22,10 @@ struct Sizes {
 @group(0) @binding(3) var<storage, read> fractions: array<u32>;
 @group(0) @binding(4) var<storage, read_write> target_words: array<u32>;
 
+fn source_word(at: u32) -> u32 {
+    return source[at];
+}
+
 fn turned(x: u32, y: u32) -> u32 {
     let at = y * sizes.width + x;
     let fraction = (fractions[at >> 1u] >> ((at & 1u) * 16u)) & 0xffffu;

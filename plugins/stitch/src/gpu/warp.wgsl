@@ -2,8 +2,8 @@
 // Positions are rounded to 1/64 px, as on the processor.
 
 struct Place {
-    // Bytes of the view in `source`: where its first pixel lies, or would lie if only its last columns are there, and those of a row.
-    start: u32,
+    unused: u32,
+    // Bytes of a row of the view.
     stride: u32,
     width: i32,
     height: i32,
@@ -34,13 +34,24 @@ struct Canvas {
 }
 
 @group(0) @binding(0) var<storage, read> canvas: Canvas;
-@group(0) @binding(1) var<storage, read> source: array<u32>;
-@group(0) @binding(2) var<storage, read> vertices: array<vec2<f32>>;
+@group(0) @binding(1) var<storage, read> first_view: array<u32>;
+@group(0) @binding(2) var<storage, read> second_view: array<u32>;
+@group(0) @binding(3) var<storage, read> vertices: array<vec2<f32>>;
 // Number of the first run of each row, and one more.
-@group(0) @binding(3) var<storage, read> rows: array<u32>;
+@group(0) @binding(4) var<storage, read> rows: array<u32>;
 // End of each run times 4, and the view that it shows: 0 none, 1 the first, 2 the second.
-@group(0) @binding(4) var<storage, read> runs: array<u32>;
-@group(0) @binding(5) var<storage, read_write> target_words: array<u32>;
+@group(0) @binding(5) var<storage, read> runs: array<u32>;
+@group(0) @binding(6) var<storage, read_write> target_words: array<u32>;
+
+// The view that this thread reads: 0 the first, 1 the second.
+var<private> shown_view: u32;
+
+fn source_word(at: u32) -> u32 {
+    if (shown_view == 0u) {
+        return first_view[at];
+    }
+    return second_view[at];
+}
 
 // Position in the view, in 1/64 px.
 fn locate(index: u32, x: i32, y: i32) -> vec2<i32> {
@@ -82,12 +93,13 @@ fn round_multiply(a: vec3<i32>, b: vec3<i32>) -> vec3<i32> {
 }
 
 fn sampled(index: u32, x: i32, y: i32) -> u32 {
+    shown_view = index;
     let at = locate(index, x, y);
     let place = &canvas.places[index];
     let last = vec2<i32>((*place).width - 2, (*place).height - 2);
     let whole = min(at >> vec2<u32>(6u, 6u), last);
     let part = at - whole * 64;
-    let offset = (*place).start + u32(whole.y) * (*place).stride + u32(whole.x) * 3u;
+    let offset = u32(whole.y) * (*place).stride + u32(whole.x) * 3u;
     let top = two_pixels(offset);
     let bottom = two_pixels(offset + (*place).stride);
     let t = left_pixel(top) * (64 - part.x) + right_pixel(top) * part.x;

@@ -1,19 +1,18 @@
-//! Block matching on the device.
+//! Block matching on the GPU.
 //!
 //! One kernel filters both views, one matches the pixels of a view against the other one. It runs for the right view
 //! first, whose winners the left-right check of the left view reads. No cost is stored: a workgroup iterates over the
 //! disparities and keeps the winners of its pixels.
 
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Mutex, PoisonError};
 
 use panoscope_imaging::stereo::block_matching::TILE_MARGIN_PX;
 use panoscope_imaging::stereo::{BlockMatchingParams, Span, Tile};
 use panoscope_imaging::{Parallel, Rect, View, ViewMut};
 
-use crate::device::{Gpu, GpuError};
-use crate::kernel::{GROUP, Kernel};
-use crate::memory::{Store, Transfer, each_row, picture_bytes};
+use panoscope_node::device::{DeviceImage, GROUP, Gpu, Kernel, MARGIN_BYTES, Steps, Store};
+use panoscope_node::{Result, error};
 
 /// Columns and rows of a workgroup's block in the shader.
 const BLOCK: [usize; 2] = [64, 32];
@@ -27,8 +26,8 @@ const PLANE_MARGIN: usize = 4;
 const NOWHERE: usize = 0xffff_ffff;
 /// Workgroups in a row of a dispatch.
 const GROUPS_PER_ROW: usize = 32_768;
-/// Alignment of parts in the upload, bytes.
-const ALIGNMENT: usize = 16;
+/// Rows that a thread fills at a time.
+const ROWS: usize = 64;
 const MAX_SEARCH_PX: usize = 512;
 const MAX_MIN_DISPARITY_PX: u32 = 1 << 20;
 
@@ -175,14 +174,14 @@ struct Side {
     blocks: Store,
 }
 
-/// Block matcher on a device, with device memory that only grows.
+/// Block matcher on the GPU, with memory there that only grows.
 ///
 /// Finds the same disparities as [`BlockMatcher`], up to the last bits of their fractions.
 ///
 /// [`BlockMatcher`]: panoscope_imaging::stereo::BlockMatcher
 #[derive(Debug)]
 pub struct GpuBlockMatcher {
-    gpu: Arc<Gpu>,
+    gpu: Gpu,
     filter: Kernel,
     /// For the pixels of the left and of the right view.
     matching: [Kernel; 2],
@@ -190,29 +189,34 @@ pub struct GpuBlockMatcher {
     call: Store,
     winners: Store,
     result: Store,
-    transfer: Transfer,
+    /// The result in the host's memory.
+    found: Vec<u8>,
+    /// Views of the next calls that are on the GPU already.
+    there: Option<[DeviceImage; 2]>,
 }
 
 impl GpuBlockMatcher {
-    /// Prepares a device.
+    /// Prepares the GPU.
     ///
     /// # Errors
-    /// [`GpuError::Failed`] if it rejects a shader.
-    pub fn new(gpu: Arc<Gpu>) -> Result<Self, GpuError> {
-        let filter = Kernel::new(&gpu, "block matching filter", &[include_str!("shaders/block_matching_filter.wgsl")])?;
-        let matching = |constant: &str| {
-            Kernel::new(&gpu, "block matching", &[constant, include_str!("shaders/block_matching.wgsl")])
-        };
+    /// It rejects a shader.
+    pub fn new(gpu: Gpu) -> Result<Self> {
+        let filter = gpu.kernel("block matching filter", &[include_str!("block_matching_filter.wgsl")])?;
+        let matching = |constant: &str| gpu.kernel("block matching", &[constant, include_str!("block_matching.wgsl")]);
         let matching = [matching("const IS_LEFT = true;\n")?, matching("const IS_LEFT = false;\n")?];
-        let (sides, call, winners, result, transfer) = Default::default();
-        Ok(Self { gpu, filter, matching, sides, call, winners, result, transfer })
+        let (sides, call, winners, result) = Default::default();
+        Ok(Self { gpu, filter, matching, sides, call, winners, result, found: Vec::new(), there: None })
+    }
+
+    /// Says that the gray views of the calls that follow are on the GPU already, left and right; `None` if not.
+    pub fn set_views(&mut self, views: Option<[DeviceImage; 2]>) {
+        self.there = views;
     }
 
     /// Matches the pixels of `roi` of a rectified gray pair; see [`BlockMatcher::compute`], whose maps it fills.
     ///
     /// # Errors
-    /// [`GpuError::Input`] for a parameter out of range and for images and maps of different sizes; errors of the
-    /// device.
+    /// A parameter out of range, images and maps of different sizes; errors of the GPU.
     ///
     /// [`BlockMatcher::compute`]: panoscope_imaging::stereo::BlockMatcher::compute
     pub fn compute(
@@ -224,7 +228,7 @@ impl GpuBlockMatcher {
         disparity: &mut ViewMut<'_, f32>,
         disparity_right: Option<&mut ViewMut<'_, f32>>,
         pool: &dyn Parallel,
-    ) -> Result<(), GpuError> {
+    ) -> Result<()> {
         check(params, [&left, &right], [Some(&*disparity), disparity_right.as_deref()])?;
         let roi = roi.clamped(left.width, left.height);
         let region = Region::new(roi, left.width, params.min_disparity_px, params.search_px);
@@ -242,7 +246,7 @@ impl GpuBlockMatcher {
     /// see [`BlockMatcher::compute_tiles`], whose map it fills.
     ///
     /// # Errors
-    /// As [`GpuBlockMatcher::compute`]; [`GpuError::Input`] also for a range that is empty or too wide.
+    /// As [`GpuBlockMatcher::compute`]; also a range that is empty or too wide.
     ///
     /// [`BlockMatcher::compute_tiles`]: panoscope_imaging::stereo::BlockMatcher::compute_tiles
     pub fn compute_tiles(
@@ -253,16 +257,15 @@ impl GpuBlockMatcher {
         tiles: &[Tile],
         disparity: &mut ViewMut<'_, f32>,
         pool: &dyn Parallel,
-    ) -> Result<(), GpuError> {
+    ) -> Result<()> {
         check(params, [&left, &right], [Some(&*disparity), None])?;
         for tile in tiles {
             let is_far = tile.first_px.unsigned_abs() > MAX_MIN_DISPARITY_PX;
             if is_far || !(1..=MAX_SEARCH_PX).contains(&tile.search_px) {
-                let what = format!(
+                return Err(error!(
                     "a tile searches {} disparities from {} px on; accepted are 1 to {MAX_SEARCH_PX}, at most {MAX_MIN_DISPARITY_PX} px from 0",
                     tile.search_px, tile.first_px
-                );
-                return Err(GpuError::Input { what });
+                ));
             }
         }
         let size = (left.width, left.height);
@@ -277,29 +280,29 @@ impl GpuBlockMatcher {
         regions: &[Region],
         has_right: bool,
         read: impl FnOnce(&[Vec<Part>; 2], &[u8]),
-    ) -> Result<(), GpuError> {
+    ) -> Result<()> {
         let (width, height, radius) = (views[0].width, views[0].height, params.block_px / 2);
         let rows = regions.iter().map(|region| &region.rows);
         let Some((first, end)) = rows.map(|r| (r.start, r.end)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) else {
             read(&Default::default(), &[]);
             return Ok(());
         };
+        let there = self.there.filter(|views| views.iter().all(|view| (view.width, view.height) == (width, height)));
         // Rows of the planes, and of the views that they are filtered from.
         let plane = first.saturating_sub(radius)..(end + radius).min(height);
-        let source = plane.start.saturating_sub(1)..(plane.end + 1).min(height);
+        let source =
+            if there.is_some() { 0..height } else { plane.start.saturating_sub(1)..(plane.end + 1).min(height) };
         let mut plan = Plan { width, first_row: plane.start, radius, ..Plan::default() };
         for region in regions {
             plan.add(region, params.left_right_px.is_some(), has_right);
         }
-
-        // One upload holds: sizes of both views, the call, the blocks of both, the rows of both views.
-        let sources = views.map(|view| rows_of(&view, &source));
-        let filter_words = |view: &View<'_, u8>| {
+        let strides = [0, 1].map(|k| there.map_or(views[k].stride, |there| there[k].stride_bytes));
+        let filter_words = strides.map(|stride| {
             let cap = i32::from(params.prefilter_cap);
-            let [width, rows, source_rows, stride] = [width, plane.len(), source.len(), view.stride].map(|n| n as i32);
-            [width, rows, (plane.start - source.start) as i32, source_rows, stride, cap, 0, 0]
-        };
-        let call: [i32; CALL_WORDS] = [
+            let [width, rows, source_rows, stride] = [width, plane.len(), source.len(), stride].map(|n| n as i32);
+            bytes(&[width, rows, (plane.start - source.start) as i32, source_rows, stride, cap, 0, 0])
+        });
+        let head: [i32; CALL_WORDS] = [
             width as i32,
             plane.len() as i32,
             radius as i32,
@@ -309,67 +312,69 @@ impl GpuBlockMatcher {
             params.left_right_px.map_or(u32::from(u16::MAX), |px| px.min(u32::from(u16::MAX))) as i32,
             0,
         ];
-        let mut words = Vec::new();
-        let mut starts = Vec::new();
-        let mut put = |values: &mut dyn Iterator<Item = i32>| {
-            starts.push(words.len() as u64);
-            words.extend(values.flat_map(i32::to_le_bytes));
-            words.resize(words.len().next_multiple_of(ALIGNMENT), 0_u8);
-        };
-        put(&mut views.iter().take(1).flat_map(filter_words));
-        put(&mut views.iter().skip(1).flat_map(filter_words));
-        put(&mut call.into_iter().chain(plan.jobs.iter().copied()));
-        for blocks in &plan.blocks {
-            put(&mut [blocks.len() as i32 / 2, 0].into_iter().chain(blocks.iter().map(|word| *word as i32)));
-        }
-        starts.push(words.len() as u64);
-        starts.push(words.len() as u64 + picture_bytes(&sources[0]));
-        let total = starts[6] + picture_bytes(&sources[1]);
+        let call_words = bytes(&[&head[..], &plan.jobs].concat());
+        let block_words = plan.blocks.each_ref().map(|blocks| {
+            let head = [blocks.len() as i32 / 2, 0];
+            bytes(&head.into_iter().chain(blocks.iter().map(|word| *word as i32)).collect::<Vec<i32>>())
+        });
 
-        let gpu = &*self.gpu;
-        let up = self.transfer.begin(gpu, total)?;
-        up.write(0, &words)?;
-        for (start, view) in starts[5..].iter().zip(&sources) {
-            up.write(*start as usize, view.data)?;
+        let gpu = self.gpu;
+        let mut steps = Steps::default();
+        let sources = views.map(|view| rows_of(&view, &source));
+        let call = self.call.reserve(gpu, call_words.len())?;
+        steps.write(call, 0, &call_words);
+        let mut planes = [0; 2];
+        let mut blocks = [0; 2];
+        for (k, side) in self.sides.iter_mut().enumerate() {
+            let sizes = side.sizes.reserve(gpu, 4 * FILTER_WORDS)?;
+            steps.write(sizes, 0, &filter_words[k]);
+            blocks[k] = side.blocks.reserve(gpu, block_words[k].len())?;
+            steps.write(blocks[k], 0, &block_words[k]);
+            let view = match there {
+                Some(there) => there[k].buffer,
+                None => {
+                    let view = side.view.reserve(gpu, sources[k].data.len() + MARGIN_BYTES)?;
+                    steps.write(view, 0, sources[k].data);
+                    view
+                }
+            };
+            planes[k] = side.plane.reserve(gpu, 4 * (width + PLANE_MARGIN) * plane.len())?;
+            steps.run(&self.filter, &[sizes, view, planes[k]], [width + PLANE_MARGIN, plane.len()]);
         }
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let mut send = |part: usize, store: &mut Store, bytes: u64| {
-            self.transfer.send(&mut encoder, starts[part], store.reserve(gpu, bytes)?, bytes);
-            Ok(())
-        };
-        send(2, &mut self.call, starts[3] - starts[2])?;
-        for (k, (side, view)) in self.sides.iter_mut().zip(&sources).enumerate() {
-            send(k, &mut side.sizes, 4 * FILTER_WORDS as u64)?;
-            send(3 + k, &mut side.blocks, starts[4 + k] - starts[3 + k])?;
-            send(5 + k, &mut side.view, picture_bytes(view))?;
-            side.plane.reserve(gpu, 4 * ((width + PLANE_MARGIN) * plane.len()) as u64)?;
-        }
-        self.winners.reserve(gpu, 4 * plan.winners as u64)?;
-        let result = self.result.reserve(gpu, 4 * plan.result as u64)?;
-
-        let missing = || gpu.failed("a buffer is missing");
-        let buffer = |store: &Store| store.buffer().cloned().ok_or_else(missing);
-        let mut planes = Vec::new();
-        for side in &self.sides {
-            let held = [buffer(&side.sizes)?, buffer(&side.view)?, buffer(&side.plane)?];
-            self.filter.encode(gpu, &mut encoder, &held.each_ref(), [width + PLANE_MARGIN, plane.len()]);
-            planes.extend(held.into_iter().skip(2));
-        }
+        let winners = self.winners.reserve(gpu, 4 * plan.winners)?;
+        let result = self.result.reserve(gpu, 4 * plan.result)?;
         // The left view needs the right one's winners.
         for k in [1, 0] {
             let count = plan.blocks[k].len() / 2;
             if count == 0 {
                 continue;
             }
-            let [call, blocks, winners] = [&self.call, &self.sides[k].blocks, &self.winners].map(buffer);
-            let (call, blocks, winners) = (call?, blocks?, winners?);
-            let held = [&call, &blocks, &planes[k], &planes[1 - k], &winners, result];
             let groups = [count.min(GROUPS_PER_ROW), count.div_ceil(GROUPS_PER_ROW)];
-            let threads = [0, 1].map(|axis| groups[axis] * GROUP[axis] as usize);
-            self.matching[k].encode(gpu, &mut encoder, &held, threads);
+            let threads = [0, 1].map(|axis| groups[axis] * GROUP[axis]);
+            steps.run(&self.matching[k], &[call, blocks[k], planes[k], planes[1 - k], winners, result], threads);
         }
-        self.transfer.finish(gpu, encoder, result, 4 * plan.result as u64, || {}, |bytes| read(&plan.parts, bytes))
+        gpu.submit(&steps)?;
+        self.found.resize(4 * plan.result, 0);
+        gpu.read(result, &mut self.found)?;
+        read(&plan.parts, &self.found);
+        Ok(())
     }
+}
+
+fn bytes(words: &[i32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_le_bytes()).collect()
+}
+
+/// Calls `row` with each row of a map and its number, on several threads.
+fn each_row(out: &mut ViewMut<'_, f32>, pool: &dyn Parallel, row: impl Fn(usize, &mut [f32]) + Sync) {
+    let (stride, width, height) = (out.stride, out.width * out.channels, out.height);
+    let bands: Vec<_> = out.data.chunks_mut((stride * ROWS).max(1)).map(Mutex::new).collect();
+    pool.run(bands.len(), &|index| {
+        let mut band = bands[index].lock().unwrap_or_else(PoisonError::into_inner);
+        for (at, pixels) in band.chunks_mut(stride).enumerate().take(height.saturating_sub(index * ROWS)) {
+            row(index * ROWS + at, &mut pixels[..width]);
+        }
+    });
 }
 
 /// These rows of a view, with their padding.
@@ -397,8 +402,8 @@ fn check(
     params: &BlockMatchingParams,
     [left, right]: [&View<'_, u8>; 2],
     maps: [Option<&ViewMut<'_, f32>>; 2],
-) -> Result<(), GpuError> {
-    params.validate().map_err(|e| GpuError::Input { what: e.to_string() })?;
+) -> Result<()> {
+    params.validate()?;
     let size = [left.width, left.height, 1];
     let maps = maps.map(|map| map.map_or(size, |map| [map.width, map.height, map.channels]));
     let found = [
@@ -408,16 +413,14 @@ fn check(
         ("right disparity", maps[1]),
     ];
     if let Some((name, [width, height, channels])) = found.iter().find(|(_, found)| *found != size) {
-        let what = format!(
+        return Err(error!(
             "{name} is {width}x{height} in {channels} channels; {}x{} in 1 is needed, as of the left view",
             left.width, left.height
-        );
-        return Err(GpuError::Input { what });
+        ));
     }
     // As on the processor.
     if left.width > 65_000 {
-        let what = format!("a view of {} columns; at most 65000 are matched", left.width);
-        return Err(GpuError::Input { what });
+        return Err(error!("a view of {} columns; at most 65000 are matched", left.width));
     }
     Ok(())
 }

@@ -1,15 +1,16 @@
-// Pixels of three bytes in arrays of words.
+// Pixels of three bytes in arrays of words. The kernel declares `source_word`, which returns a word of the image that is read, and array
+// `target_words`.
 
-// The six bytes of two neighbouring pixels that begin anywhere in `source`: four in x, two in y.
+// The six bytes of two neighbouring pixels that begin at byte `at`: four in x, two in y.
 fn two_pixels(at: u32) -> vec2<u32> {
     let word = at >> 2u;
     let shift = (at & 3u) * 8u;
-    let w0 = source[word];
-    let w1 = source[word + 1u];
+    let w0 = source_word(word);
+    let w1 = source_word(word + 1u);
     if (shift == 0u) {
         return vec2<u32>(w0, w1);
     }
-    let w2 = source[word + 2u];
+    let w2 = source_word(word + 2u);
     return vec2<u32>((w0 >> shift) | (w1 << (32u - shift)), (w1 >> shift) | (w2 << (32u - shift)));
 }
 

@@ -1,12 +1,13 @@
 //! Panoramas drawn on the device are those of the processor, but for rounding of positions.
 
-use crate::common::{device, difference, picture};
-use panoscope_gpu::Warper;
+use crate::support::{Held, device, difference, picture};
 use panoscope_imaging::stitch::{
     BlendMethod, CompositeParams, Compositor, Drawing, GeometryState, IDENTITY, Lattice, Mesh, PaintError, Painter,
     SeamMethod,
 };
 use panoscope_imaging::{Parallel, Serial, View, ViewMut};
+use panoscope_node::device::Gpu;
+use panoscope_stitch::gpu::warp::{Sources, Warper};
 
 const SIZE: (usize, usize) = (322, 240);
 
@@ -19,11 +20,12 @@ fn panoramas(
     params: CompositeParams,
     meshes: [Option<&Mesh>; 2],
     states: &[GeometryState],
-    painter: Option<Box<dyn Painter>>,
+    gpu: Option<Gpu>,
 ) -> Vec<Vec<u8>> {
-    let is_painted = painter.is_some();
+    let sources = Sources::default();
     let mut compositor = Compositor::new(params);
-    compositor.set_painter(painter);
+    compositor
+        .set_painter(gpu.map(|gpu| Box::new(Warper::new(gpu, sources.clone()).expect("a warper")) as Box<dyn Painter>));
     let stride = SIZE.0 * 3 + 7;
     let mut made = Vec::new();
     for (frame, state) in states.iter().enumerate() {
@@ -33,12 +35,14 @@ fn panoramas(
         for (view, mesh) in meshes.iter().enumerate() {
             compositor.set_mesh(view, *mesh);
         }
+        let held = gpu.map(|gpu| pictures.each_ref().map(|p| Held::of(gpu, p, SIZE.0, SIZE.1, stride)));
+        *sources.lock().expect("no panic") = held.iter().flatten().map(|held| held.image).collect();
         let canvas = compositor.canvas(&views, &maps, *state).expect("a canvas");
         let mut out = vec![99; canvas.width * canvas.height * 3];
         let mut target = ViewMut::new(&mut out, canvas.width, canvas.height, 3);
         compositor.compose(&views, &maps, *state, &Serial, &mut target, None).expect("composed");
         assert_eq!(compositor.take_painter_fault(), None);
-        assert_eq!(compositor.has_painter(), is_painted);
+        assert_eq!(compositor.has_painter(), gpu.is_some());
         made.push(out);
     }
     made
@@ -68,9 +72,8 @@ fn panoramas_are_those_of_the_processor() {
         ("lost later", BlendMethod::Feather, [None, Some(&right)], &[GeometryState::Fresh, GeometryState::Lost]),
     ];
     for (name, blend, meshes, states) in cases {
-        let warper = Box::new(Warper::new(gpu.clone()).expect("a warper"));
         let expected = panoramas(params(blend), meshes, states, None);
-        let found = panoramas(params(blend), meshes, states, Some(warper));
+        let found = panoramas(params(blend), meshes, states, Some(gpu));
         for (frame, (expected, found)) in expected.iter().zip(&found).enumerate() {
             let (most, share) = difference(expected, found);
             // A position that falls on another 1/64 px changes a byte by a 64th of the difference of neighbours.

@@ -1,10 +1,10 @@
 //! Views rectified on the device have the same bytes as those of the processor.
 
-use crate::common::{device, picture};
-use panoscope_gpu::{GpuError, Rectifier, RectifyJob};
+use super::support::{Held, device, picture};
 use panoscope_imaging::shrink::shrink;
 use panoscope_imaging::stereo::{CameraModel, RectifiedCamera, RemapTable};
 use panoscope_imaging::{Rect, Serial, View, ViewMut};
+use panoscope_stereo::gpu::rectify::{Rectifier, RectifyJob};
 
 /// A camera with distortion that is turned by a few degrees, so that a corner of the rectified view is not covered.
 fn map(width: usize, height: usize, turn: f64) -> RemapTable {
@@ -32,18 +32,15 @@ fn views_are_shrunk_and_turned_as_on_the_processor() {
         let (w, h) = (width / factor, height / factor);
         let maps = [map(w, h, 0.05), map(w, h, -0.08)];
         let given = is_turned.then(|| [&maps[0], &maps[1]]);
-        let mut rectifier = Rectifier::new(gpu.clone(), factor, given).expect("a rectifier");
+        let mut rectifier = Rectifier::new(gpu, factor, given).expect("a rectifier");
         // Twice: the second frame finds the memory of the first.
         for seed in [1, 2] {
             let pictures = [picture(width, height, stride, seed), picture(width, height, stride, seed + 10)];
             let views = pictures.each_ref().map(|p| View::with_stride(&p[..], width, height, 3, stride));
-            let mut made = [vec![7; w * h * 3 + 5 * h], vec![7; w * h * 3 + 5 * h]];
-            let [left, right] = made.each_mut().map(|out| ViewMut::with_stride(out, w, h, 3, w * 3 + 5));
-            let jobs = [
-                Some(RectifyJob { view: views[0], out: left }),
-                (seed == 1).then_some(RectifyJob { view: views[1], out: right }),
-            ];
-            rectifier.run(jobs, &Serial).expect("rectified");
+            let given = pictures.each_ref().map(|p| Held::of(gpu, p, width, height, stride));
+            let made = [0, 1].map(|_| Held::new(gpu, w, h, 3));
+            let job = |side: usize| RectifyJob { view: given[side].image, out: made[side].image };
+            rectifier.run([Some(job(0)), (seed == 1).then(|| job(1))]).expect("rectified");
             for side in 0..if seed == 1 { 2 } else { 1 } {
                 let mut small = vec![0; w * h * 3];
                 shrink(views[side], factor, ViewMut::new(&mut small, w, h, 3), &Serial);
@@ -52,8 +49,7 @@ fn views_are_shrunk_and_turned_as_on_the_processor() {
                     let source = View::new(&small[..], w, h, 3);
                     maps[side].remap(source, ViewMut::new(&mut expected, w, h, 3), &Serial).expect("remapped");
                 }
-                let found: Vec<u8> =
-                    made[side].chunks_exact(w * 3 + 5).flat_map(|row| &row[..w * 3]).copied().collect();
+                let found = made[side].rows(gpu, w * 3);
                 assert!(found == expected, "{width}x{height} / {factor}, side {side}, frame {seed}");
             }
         }
@@ -64,12 +60,11 @@ fn views_are_shrunk_and_turned_as_on_the_processor() {
 fn pictures_of_another_size_are_refused() {
     let Some(gpu) = device() else { return };
     let map = map(64, 40, 0.05);
-    assert!(matches!(Rectifier::new(gpu.clone(), 1, None), Err(GpuError::Input { .. })));
+    assert!(Rectifier::new(gpu, 1, None).is_err());
     let mut rectifier = Rectifier::new(gpu, 1, Some([&map, &map])).expect("a rectifier");
-    let pixels = picture(32, 40, 96, 1);
-    let mut out = vec![0; 64 * 40 * 3];
-    let job = RectifyJob { view: View::new(&pixels[..], 32, 40, 3), out: ViewMut::new(&mut out, 64, 40, 3) };
-    let refused = rectifier.run([Some(job), None], &Serial).expect_err("refused").to_string();
+    let (view, out) = (Held::new(gpu, 32, 40, 3), Held::new(gpu, 64, 40, 3));
+    let job = RectifyJob { view: view.image, out: out.image };
+    let refused = rectifier.run([Some(job), None]).expect_err("refused").to_string();
     assert!(refused.contains("32x40"), "{refused}");
-    assert!(rectifier.run([None, None], &Serial).is_ok());
+    assert!(rectifier.run([None, None]).is_ok());
 }

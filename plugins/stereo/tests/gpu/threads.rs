@@ -1,9 +1,10 @@
 //! Kernels of several nodes share one device.
 
-use crate::common::{device, picture};
-use panoscope_gpu::{GpuBlockMatcher, Rectifier, RectifyJob};
+use super::support::{Held, device, picture};
 use panoscope_imaging::stereo::BlockMatchingParams;
 use panoscope_imaging::{Rect, Serial, View, ViewMut};
+use panoscope_stereo::gpu::block_matching::GpuBlockMatcher;
+use panoscope_stereo::gpu::rectify::{Rectifier, RectifyJob};
 
 const SIZE: (usize, usize) = (128, 48);
 const FRAMES: u32 = 60;
@@ -12,19 +13,20 @@ const FRAMES: u32 = 60;
 fn kernels_on_several_threads_do_not_disturb_each_other() {
     let Some(gpu) = device() else { return };
     let shrink = |side: u32| {
-        let mut rectifier = Rectifier::new(gpu.clone(), 2, None).expect("a rectifier");
+        let mut rectifier = Rectifier::new(gpu, 2, None).expect("a rectifier");
         let pixels = picture(SIZE.0, SIZE.1, SIZE.0 * 3, side);
         let mut first = None;
         for frame in 0..FRAMES {
-            let mut out = vec![0; SIZE.0 * SIZE.1 * 3 / 4];
-            let target = ViewMut::new(&mut out, SIZE.0 / 2, SIZE.1 / 2, 3);
-            let job = RectifyJob { view: View::new(&pixels, SIZE.0, SIZE.1, 3), out: target };
-            rectifier.run([Some(job), None], &Serial).unwrap_or_else(|e| panic!("frame {frame}: {e}"));
+            let view = Held::of(gpu, &pixels, SIZE.0, SIZE.1, SIZE.0 * 3);
+            let out = Held::new(gpu, SIZE.0 / 2, SIZE.1 / 2, 3);
+            let job = RectifyJob { view: view.image, out: out.image };
+            rectifier.run([Some(job), None]).unwrap_or_else(|e| panic!("frame {frame}: {e}"));
+            let out = out.rows(gpu, SIZE.0 / 2 * 3);
             assert!(first.get_or_insert_with(|| out.clone()) == &out, "frame {frame} of thread {side}");
         }
     };
     let matches = || {
-        let mut matcher = GpuBlockMatcher::new(gpu.clone()).expect("a matcher");
+        let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
         let gray: Vec<u8> = picture(SIZE.0, SIZE.1, SIZE.0 * 3, 9).as_chunks::<3>().0.iter().map(|p| p[0]).collect();
         let view = View::new(&gray[..], SIZE.0, SIZE.1, 1);
         let params = BlockMatchingParams { search_px: 32, block_px: 9, ..BlockMatchingParams::default() };

@@ -1,0 +1,5 @@
+//! Kernels of the nodes on the GPU.
+
+pub mod block_matching;
+pub mod rectify;
+pub mod wls;

@@ -1,0 +1,8 @@
+//! Kernels on a GPU that Mesa's Vulkan driver plays on the processor.
+
+mod block_matching;
+mod rectify;
+#[path = "../../../../tests/support/gpu.rs"]
+pub mod support;
+mod threads;
+mod wls;

@@ -1,0 +1,3 @@
+//! Kernels of the nodes on the GPU.
+
+pub mod warp;

@@ -1,0 +1,162 @@
+//! Graphs whose frames stay on the GPU: the same bytes, copies only where the other side reads, also with live changes and isolated nodes.
+//! Mesa's Vulkan driver plays the GPU on the processor.
+
+use std::path::Path;
+
+use panoscope_engine::memory::{DeviceMemory, open_device_by};
+use panoscope_engine::{Options, Outcome, Report};
+use panoscope_graph::ParamValue;
+use panoscope_tests::{DisturbedRun, ready, run_disturbed, scratch};
+
+const FRAMES: u64 = 12;
+
+/// Views shrunk and matched; what is made of them is read by nodes on the processor.
+const GRAPH: &str = r#"
+mode = "batch"
+plugins = ["flow", "phantom", "stereo", "stitch", "overlay"]
+[nodes.scope]
+type = "phantom"
+params = { width = 320, height = 240 }
+[nodes.views]
+type = "rectify"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+params = { scale = 2, device = "DEVICE" }
+[nodes.passes]
+type = "pass"
+inputs = { image = "views.left" }
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "passes.image", right = "views.right" }
+params = { device = "DEVICE" }
+[nodes.marks]
+type = "overlay"
+inputs = { image = "views.left", detections = "scope.detections" }
+[nodes.register]
+type = "register_grid"
+inputs = { left = "views.left", right = "views.right", disparity = "match.disparity", calibration = "views.calibration" }
+[nodes.wide]
+type = "composite"
+inputs = { left = "views.left", right = "views.right", homography = "register.homography" }
+params = { device = "DEVICE" }
+[nodes.end]
+type = "drain"
+inputs = { image = "marks.image" }
+[nodes.end_wide]
+type = "drain"
+inputs = { image = "wide.panorama" }
+"#;
+
+fn graph(device: &str) -> String {
+    GRAPH.replace("DEVICE", device)
+}
+
+/// Offers the device that the processor plays; `false`, reported as a skip, without one.
+fn has_device() -> bool {
+    open_device_by(|| Ok(panoscope_gpu::Gpu::open(Some("software")).map_err(|e| e.to_string())?.into_table()));
+    match DeviceMemory::open() {
+        Ok(_) => true,
+        Err(reason) => {
+            panoscope_testing::skipped!("{reason}; install mesa-vulkan-drivers for a device that the processor plays");
+            false
+        }
+    }
+}
+
+fn disturbed(folder: &Path, text: &str) -> DisturbedRun {
+    let run = run_disturbed(folder, text, Options { frames: Some(FRAMES), ..Options::default() }, |_| ());
+    assert_eq!(run.outcome, Outcome::Done, "{:?}", run.faults);
+    assert!(run.faults.is_empty(), "{:?}", run.faults);
+    run
+}
+
+/// A run that nobody listens to: copies are those of the nodes.
+fn plain(folder: &Path, text: &str) -> Report {
+    let ready = ready(&folder.join("graph.toml"), text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let options = Options { frames: Some(FRAMES), threads: 2, ..Options::default() };
+    let live = ready.start(options).unwrap_or_else(|error| panic!("{error}"));
+    while !live.engine().wait(None) {}
+    live.engine().close(std::time::Duration::from_secs(30));
+    live.engine().report()
+}
+
+/// Ports whose frames do not depend on the device to the last bit.
+const SAME: [&str; 4] = ["views.left", "views.right", "passes.image", "marks.image"];
+
+#[test]
+fn frames_on_the_gpu_are_those_of_the_processor() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-same");
+    let [cpu, gpu] = ["cpu", "gpu"].map(|device| disturbed(&folder, &graph(device)));
+    for port in SAME {
+        assert_eq!(gpu.port(port), cpu.port(port), "{port}");
+        assert_eq!(gpu.port(port).len(), FRAMES as usize, "{port}");
+    }
+    let again = disturbed(&folder, &graph("gpu"));
+    assert_eq!(again.packets, gpu.packets, "two runs on one device");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn frames_are_copied_only_where_the_other_side_reads() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-copies");
+    let [cpu, gpu] = ["cpu", "gpu"].map(|device| plain(&folder, &graph(device)));
+    let copies = |report: &Report, node: &str| report.nodes[node].copies;
+    assert_eq!(copies(&gpu, "views"), 2 * FRAMES, "both views reach the GPU once");
+    assert_eq!(copies(&gpu, "passes"), 0, "a frame that is handed on stays where it is");
+    let all = |report: &Report| report.nodes.values().map(|node| node.copies).sum::<u64>();
+    // Both colour views and both gray views come back once each, whoever of their readers is first.
+    assert_eq!(
+        all(&gpu) - all(&cpu),
+        6 * FRAMES,
+        "{:?}",
+        gpu.nodes.iter().map(|(id, n)| (id, n.copies)).collect::<Vec<_>>()
+    );
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn a_device_can_be_changed_while_the_graph_runs() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-live");
+    let cpu = disturbed(&folder, &graph("cpu"));
+    let mut turn = 0;
+    let options = Options { frames: Some(FRAMES), ..Options::default() };
+    let changed = run_disturbed(&folder, &graph("cpu"), options, |engine| {
+        turn += 1;
+        let device = ["cpu", "gpu"][turn % 2];
+        for node in ["views", "match", "wide"] {
+            engine
+                .set_param(node, "device", ParamValue::Choice { index: turn % 2, name: device.into() })
+                .expect("a parameter");
+        }
+    });
+    assert!(changed.faults.is_empty() && turn > 0, "{:?}", changed.faults);
+    for port in SAME {
+        assert_eq!(changed.port(port), cpu.port(port), "{port}");
+    }
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn an_isolated_node_computes_on_a_device_of_its_process() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-isolated");
+    let cpu = disturbed(&folder, &graph("cpu"));
+    // SAFETY: this test is the only thread of the process that reads or writes the environment.
+    unsafe { std::env::set_var(panoscope_gpu::CHOICE, "software") };
+    let text = graph("gpu").replace("type = \"rectify\"", "type = \"rectify\"\nisolate = \"gpu\"");
+    let isolated = disturbed(&folder, &text);
+    for port in SAME {
+        assert_eq!(isolated.port(port), cpu.port(port), "{port}");
+    }
+    let _ = std::fs::remove_dir_all(&folder);
+}
