@@ -2,8 +2,8 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::items::Items;
 use crate::staging::Staging;
-use crate::table::Items;
 use wgpu::{Adapter, Backends, Device, DeviceDescriptor, DeviceType, Instance, InstanceDescriptor, MemoryHints, Queue};
 
 /// Environment variable that chooses a device: a part of its name, or `software` for a software device (for tests).

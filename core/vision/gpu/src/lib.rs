@@ -4,6 +4,7 @@
 //! compute on the processor.
 
 mod device;
+mod items;
 mod staging;
 mod table;
 

@@ -2,9 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use wgpu::{Buffer, BufferDescriptor, BufferUsages, MapMode};
-
-use crate::device::Gpu;
+use wgpu::{Buffer, BufferDescriptor, BufferUsages, Device, MapMode};
 
 /// Buffers that are kept for later use, at most.
 const MAX_KEPT: usize = 32;
@@ -44,9 +42,9 @@ fn rounded(bytes: u64) -> u64 {
 
 impl Staging {
     /// A mapped buffer for writing `bytes` bytes.
-    pub fn for_writing(&self, gpu: &Gpu, bytes: u64) -> Buffer {
+    pub fn for_writing(&self, device: &Device, bytes: u64) -> Buffer {
         take(&self.up, bytes).unwrap_or_else(|| {
-            gpu.device.create_buffer(&BufferDescriptor {
+            device.create_buffer(&BufferDescriptor {
                 label: None,
                 size: rounded(bytes),
                 usage: BufferUsages::MAP_WRITE | BufferUsages::COPY_SRC,
@@ -66,9 +64,9 @@ impl Staging {
     }
 
     /// A buffer for reading `bytes` bytes, not mapped.
-    pub fn for_reading(&self, gpu: &Gpu, bytes: u64) -> Buffer {
+    pub fn for_reading(&self, device: &Device, bytes: u64) -> Buffer {
         take(&self.down, bytes).unwrap_or_else(|| {
-            gpu.device.create_buffer(&BufferDescriptor {
+            device.create_buffer(&BufferDescriptor {
                 label: None,
                 size: rounded(bytes),
                 usage: BufferUsages::MAP_READ | BufferUsages::COPY_DST,

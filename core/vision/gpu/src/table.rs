@@ -1,77 +1,27 @@
 //! The device as the contract's table of functions.
 
 use std::cell::RefCell;
-use std::collections::HashMap;
 use std::ffi::c_void;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError, mpsc};
+use std::sync::{OnceLock, mpsc};
 use std::time::Duration;
 
 use panoscope_abi::{self as abi, Device, DeviceStep, Status, Str};
 use wgpu::{
     BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, CommandEncoder,
-    CommandEncoderDescriptor, ComputePassDescriptor, ComputePipeline, ComputePipelineDescriptor, MapMode,
-    PipelineCompilationOptions, PollType, ShaderModuleDescriptor, ShaderSource,
+    CommandEncoderDescriptor, ComputePassDescriptor, ComputePipelineDescriptor, MapMode, PipelineCompilationOptions,
+    PollType, ShaderModuleDescriptor, ShaderSource,
 };
 
 use crate::device::{CHOICE, Gpu, GpuError};
+use crate::items::Item;
 
 /// Time limit for the report of finished work.
 const ANSWER: Duration = Duration::from_secs(5);
-/// Buffers that are kept for later use, at most, and their bytes.
-const MAX_SPARE: usize = 64;
-const MAX_SPARE_BYTES: u64 = 1 << 30;
 /// Alignment of parts in memory for writing, bytes.
 const ALIGNMENT: u64 = 16;
 
-/// A kernel or a buffer.
-#[derive(Clone, Debug)]
-enum Item {
-    Kernel(ComputePipeline),
-    Buffer(Buffer),
-}
-
-/// Kernels and buffers by their numbers, and buffers that were given back.
-#[derive(Debug, Default)]
-pub struct Items {
-    last: AtomicU64,
-    list: Mutex<HashMap<u64, Item>>,
-    spare: Mutex<Vec<Buffer>>,
-}
-
 thread_local! {
     static FAILURE: RefCell<String> = const { RefCell::new(String::new()) };
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-impl Items {
-    fn add(&self, item: Item) -> u64 {
-        let number = self.last.fetch_add(1, Ordering::Relaxed) + 1;
-        lock(&self.list).insert(number, item);
-        number
-    }
-
-    /// A buffer of this size that was given back. What was submitted for it runs before what comes now.
-    fn take_spare(&self, size: u64) -> Option<Buffer> {
-        let mut spare = lock(&self.spare);
-        let at = spare.iter().position(|buffer| buffer.size() == size)?;
-        Some(spare.swap_remove(at))
-    }
-
-    fn free(&self, number: u64) {
-        if let Some(Item::Buffer(buffer)) = lock(&self.list).remove(&number) {
-            let mut spare = lock(&self.spare);
-            let bytes: u64 = spare.iter().map(Buffer::size).sum();
-            if spare.len() < MAX_SPARE && bytes + buffer.size() <= MAX_SPARE_BYTES {
-                spare.push(buffer);
-            } else {
-                spare.clear();
-            }
-        }
-    }
 }
 
 /// The device of this process; opens it at the first call, which takes some tenths of a second. [`CHOICE`] chooses it.
@@ -139,15 +89,15 @@ impl Gpu {
     }
 
     fn named_buffer(&self, number: u64) -> Result<Buffer, GpuError> {
-        match lock(&self.items.list).get(&number) {
-            Some(Item::Buffer(buffer)) => Ok(buffer.clone()),
+        match self.items.get(number) {
+            Some(Item::Buffer(buffer)) => Ok(buffer),
             _ => Err(self.wrong(format!("there is no buffer {number}"))),
         }
     }
 
     fn run_kernel(&self, step: &DeviceStep, encoder: &mut CommandEncoder) -> Result<(), GpuError> {
-        let pipeline = match lock(&self.items.list).get(&step.handle) {
-            Some(Item::Kernel(pipeline)) => pipeline.clone(),
+        let pipeline = match self.items.get(step.handle) {
+            Some(Item::Kernel(pipeline)) => pipeline,
             _ => return Err(self.wrong(format!("there is no kernel {}", step.handle))),
         };
         // SAFETY: the caller of `submit` keeps `buffers_len` numbers readable.
@@ -173,7 +123,7 @@ impl Gpu {
         let padded = |step: &DeviceStep| (step.data_len as u64).next_multiple_of(ALIGNMENT);
         let writes = || steps.iter().filter(|step| step.kind == abi::DEVICE_WRITE && step.data_len > 0);
         let total: u64 = writes().map(padded).sum();
-        let up = (total > 0).then(|| self.staging.for_writing(self, total));
+        let up = (total > 0).then(|| self.staging.for_writing(&self.device, total));
         let mut encoder = self.device.create_command_encoder(&CommandEncoderDescriptor::default());
         let mut from = 0;
         let filled = steps.iter().try_for_each(|step| {
@@ -218,7 +168,7 @@ impl Gpu {
         if !offset.is_multiple_of(4) || offset.saturating_add(bytes) > source.size() {
             return Err(self.wrong(format!("{bytes} bytes from {offset} on in a buffer of {}", source.size())));
         }
-        let down = self.staging.for_reading(self, bytes);
+        let down = self.staging.for_reading(&self.device, bytes);
         let mut encoder = self.device.create_command_encoder(&CommandEncoderDescriptor::default());
         encoder.copy_buffer_to_buffer(&source, offset, &down, 0, bytes);
         let submission = self.queue.submit([encoder.finish()]);

@@ -98,7 +98,7 @@ impl CallState {
 
     /// # Safety
     /// `call` is the handle of the running call.
-    pub(super) unsafe fn of<'a>(call: *mut c_void) -> Option<&'a CallState> {
+    unsafe fn of<'a>(call: *mut c_void) -> Option<&'a CallState> {
         // SAFETY: the caller passes the handle of the running call, whose state lives until the call returns; null gives `None`.
         unsafe { call.cast::<CallState>().as_ref() }
     }
@@ -113,7 +113,7 @@ impl CallState {
         abi::STATUS_INVALID
     }
 
-    pub(super) fn output(&self, index: u32) -> Option<*mut Frame> {
+    fn output(&self, index: u32) -> Option<*mut Frame> {
         // SAFETY: the index is below the number of outputs, which `new` took from a slice.
         ((index as usize) < self.outputs_len).then(|| unsafe { self.outputs.add(index as usize) })
     }
@@ -178,7 +178,7 @@ pub(super) fn table(threads: usize) -> Box<abi::Host> {
         set_lag_ns: Some(set_lag_ns),
         device: Some(on_device::device),
         device_buffer: Some(on_device::device_buffer),
-        alloc_on_device: Some(on_device::alloc_on_device),
+        alloc_on_device: Some(alloc_on_device),
         fetch: Some(on_device::fetch),
     })
 }
@@ -189,7 +189,7 @@ pub(super) fn attached() -> &'static abi::Host {
     TABLE.get_or_init(|| table(1))
 }
 
-pub(super) unsafe extern "C" fn alloc(
+unsafe extern "C" fn alloc(
     call: *mut c_void,
     output: u32,
     format: u32,
@@ -223,6 +223,31 @@ pub(super) unsafe extern "C" fn alloc(
     let Some((buffer, data)) = memory::allocate(state.pool, len) else { return abi::STATUS_EXHAUSTED };
     state.reported().allocated_bytes += len as u64;
     state.put(slot, Frame { buffer, data, len, format, width, height, stride_bytes, ..Frame::EMPTY });
+    abi::STATUS_OK
+}
+
+unsafe extern "C" fn alloc_on_device(
+    call: *mut c_void,
+    output: u32,
+    format: u32,
+    width: u32,
+    height: u32,
+    stride_bytes: u32,
+    len: usize,
+    buffer: *mut u64,
+) -> Status {
+    // SAFETY: the caller's promise is that of `alloc`.
+    let status = unsafe { alloc(call, output, format, width, height, stride_bytes, len) };
+    // SAFETY: the ABI requires the handle of the running call, and null or a place for the buffer.
+    let (Some(state), Some(place)) = (unsafe { (CallState::of(call), buffer.as_mut()) }) else {
+        return abi::STATUS_INVALID;
+    };
+    let Some(slot) = state.output(output).filter(|_| status == abi::STATUS_OK) else { return status };
+    // SAFETY: `output` returns a pointer into the call's outputs, which live as long as the call.
+    let made = unsafe { &mut *slot };
+    let Some(handle) = on_device::make(made, Some(len)) else { return abi::STATUS_ERROR };
+    *place = handle;
+    made.buffer.home = abi::HOME_DEVICE;
     abi::STATUS_OK
 }
 

@@ -6,7 +6,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::abi::{self, Device, DeviceStep, Frame, Status, Str};
 
-use super::host::{CallState, alloc};
 use super::memory;
 
 static DEVICE: Mutex<Option<&'static Device>> = Mutex::new(None);
@@ -30,7 +29,8 @@ pub fn lend_device(device: Option<&'static Device>) {
     *lock(&DEVICE) = device;
 }
 
-fn make(frame: &Frame, len: Option<usize>) -> Option<u64> {
+/// A buffer for a frame; `len` bytes of it are an output.
+pub(super) fn make(frame: &Frame, len: Option<usize>) -> Option<u64> {
     let device = (*lock(&DEVICE))?;
     // SAFETY: the table's own handle.
     let handle = device.buffer.map_or(0, |buffer| unsafe { buffer(device.ctx, frame.len as u64 + 16) });
@@ -93,31 +93,6 @@ pub(super) unsafe extern "C" fn device_buffer(_: *mut c_void, frame: *const Fram
     let is_done =
         device.submit.is_some_and(|submit| unsafe { submit(device.ctx, &raw const step, 1) == abi::STATUS_OK });
     if is_done { handle } else { 0 }
-}
-
-pub(super) unsafe extern "C" fn alloc_on_device(
-    call: *mut c_void,
-    output: u32,
-    format: u32,
-    width: u32,
-    height: u32,
-    stride_bytes: u32,
-    len: usize,
-    buffer: *mut u64,
-) -> Status {
-    // SAFETY: the caller's promise is that of `alloc`.
-    let status = unsafe { alloc(call, output, format, width, height, stride_bytes, len) };
-    // SAFETY: the ABI requires the handle of the running call, and null or a place for the buffer.
-    let (Some(state), Some(place)) = (unsafe { (CallState::of(call), buffer.as_mut()) }) else {
-        return abi::STATUS_INVALID;
-    };
-    let Some(slot) = state.output(output).filter(|_| status == abi::STATUS_OK) else { return status };
-    // SAFETY: `output` returns a pointer into the call's outputs, which live as long as the call.
-    let made = unsafe { &mut *slot };
-    let Some(handle) = make(made, Some(len)) else { return abi::STATUS_ERROR };
-    *place = handle;
-    made.buffer.home = abi::HOME_DEVICE;
-    abi::STATUS_OK
 }
 
 pub(super) unsafe extern "C" fn fetch(_: *mut c_void, frame: *const Frame) -> Status {

@@ -260,7 +260,7 @@ impl<'c> Instance<'c> {
             Some(process) => unsafe { process(self.raw, &raw mut call) },
             None => abi::STATUS_INVALID,
         };
-        let status = if on_device::end() { status } else { abi::STATUS_ERROR };
+        let status = if on_device::end(std::ptr::from_ref(self.lane) as usize) { status } else { abi::STATUS_ERROR };
         self.done.tick = call.tick;
         self.node = frame.node;
         let position = &mut self.done.position;

@@ -8,11 +8,9 @@ use std::sync::{Mutex, PoisonError};
 use panoscope_abi::Frame;
 use panoscope_engine::memory::DeviceMemory;
 
-use super::table::current_lane;
-
 /// A buffer on the GPU that a call uses.
 struct Held {
-    /// The lane of the call.
+    /// Address of the lane of the call.
     lane: usize,
     handle: u64,
     /// The output that it holds, until it is brought.
@@ -24,8 +22,8 @@ unsafe impl Send for Held {}
 
 static HELD: Mutex<Vec<Held>> = Mutex::new(Vec::new());
 
-fn hold(handle: u64, output: Option<Frame>) -> u64 {
-    let held = Held { lane: current_lane() as usize, handle, output };
+fn hold(lane: usize, handle: u64, output: Option<Frame>) -> u64 {
+    let held = Held { lane, handle, output };
     HELD.lock().unwrap_or_else(PoisonError::into_inner).push(held);
     handle
 }
@@ -34,23 +32,22 @@ fn hold(handle: u64, output: Option<Frame>) -> u64 {
 ///
 /// # Safety
 /// The frame is held and mapped.
-pub unsafe fn upload(frame: &Frame) -> Option<u64> {
+pub unsafe fn upload(lane: usize, frame: &Frame) -> Option<u64> {
     let device = DeviceMemory::open().ok()?;
-    let handle = hold(device.buffer(frame.len)?, None);
+    let handle = hold(lane, device.buffer(frame.len)?, None);
     // SAFETY: the caller's promise.
     let bytes = if frame.len == 0 { &[] } else { unsafe { std::slice::from_raw_parts(frame.data, frame.len) } };
     device.write(handle, bytes).then_some(handle)
 }
 
 /// Makes a buffer for the content of a new output; `None` when that fails.
-pub fn make(output: Frame) -> Option<u64> {
-    Some(hold(DeviceMemory::open().ok()?.buffer(output.len)?, Some(output)))
+pub fn make(lane: usize, output: Frame) -> Option<u64> {
+    Some(hold(lane, DeviceMemory::open().ok()?.buffer(output.len)?, Some(output)))
 }
 
-/// Copies what the running call made on the GPU into its outputs; `false` when some of it is lost.
-pub fn bring() -> bool {
+/// Copies what the running call of a lane made on the GPU into its outputs; `false` when some of it is lost.
+pub fn bring(lane: usize) -> bool {
     let Some(device) = DeviceMemory::opened() else { return true };
-    let lane = current_lane() as usize;
     let mut held = HELD.lock().unwrap_or_else(PoisonError::into_inner);
     held.iter_mut().filter(|held| held.lane == lane).fold(true, |all, held| {
         let Some(output) = held.output.take() else { return all };
@@ -59,11 +56,10 @@ pub fn bring() -> bool {
     })
 }
 
-/// Ends the running call: its outputs are brought, its buffers given back. `false` when an output is lost.
-pub fn end() -> bool {
+/// Ends the running call of a lane: its outputs are brought, its buffers given back. `false` when an output is lost.
+pub fn end(lane: usize) -> bool {
     let Some(device) = DeviceMemory::opened() else { return true };
-    let is_whole = bring();
-    let lane = current_lane() as usize;
+    let is_whole = bring(lane);
     let gone = HELD
         .lock()
         .unwrap_or_else(PoisonError::into_inner)

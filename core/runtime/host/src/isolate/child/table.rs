@@ -273,7 +273,7 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     // SAFETY: see `frame`.
     let Some(call) = (unsafe { frame(call) }) else { return abi::STATUS_INVALID };
     let Some(shown) = call.shown(output).filter(|shown| !shown.is_empty()) else { return abi::STATUS_INVALID };
-    on_device::bring();
+    on_device::bring(current_lane() as usize);
     if call.lane.is_unshared(shown.buffer) {
         return abi::STATUS_OK;
     }
@@ -471,11 +471,11 @@ unsafe extern "C" fn device(_: *mut c_void, reason: *mut Str) -> *const abi::Dev
 
 unsafe extern "C" fn device_buffer(_: *mut c_void, given: *const Frame) -> u64 {
     // SAFETY: the frame is read for the length of this function; null gives `None`.
-    match unsafe { given.as_ref() } {
-        // SAFETY: the node holds the frame, whose pool is mapped.
-        Some(given) if pools::resolve(given.buffer) == given.data => unsafe { on_device::upload(given) }.unwrap_or(0),
-        _ => 0,
-    }
+    let Some(given) = (unsafe { given.as_ref() }).filter(|given| pools::resolve(given.buffer) == given.data) else {
+        return 0;
+    };
+    // SAFETY: the node holds the frame, whose pool is mapped.
+    unsafe { on_device::upload(current_lane() as usize, given) }.unwrap_or(0)
 }
 
 unsafe extern "C" fn alloc_on_device(
@@ -493,7 +493,7 @@ unsafe extern "C" fn alloc_on_device(
     // SAFETY: see `frame`; null or a place for the buffer.
     let (Some(call), Some(place)) = (unsafe { (frame(call), buffer.as_mut()) }) else { return abi::STATUS_INVALID };
     let Some(made) = call.shown(output).filter(|_| status == abi::STATUS_OK) else { return status };
-    let Some(handle) = on_device::make(made) else { return abi::STATUS_ERROR };
+    let Some(handle) = on_device::make(current_lane() as usize, made) else { return abi::STATUS_ERROR };
     *place = handle;
     let buffer = BufferId { home: abi::HOME_DEVICE, ..made.buffer };
     call.show(output, Frame { buffer, ..made });
@@ -502,7 +502,7 @@ unsafe extern "C" fn alloc_on_device(
 
 unsafe extern "C" fn fetch(_: *mut c_void, _: *const Frame) -> Status {
     // What the host sends is in memory. What this call made on the GPU comes when it ends.
-    if on_device::bring() { abi::STATUS_OK } else { abi::STATUS_ERROR }
+    if on_device::bring(current_lane() as usize) { abi::STATUS_OK } else { abi::STATUS_ERROR }
 }
 
 /// The function table for plugins in the child.
