@@ -37,7 +37,7 @@ mod homes {
 }
 
 impl Memory {
-    fn drop_twin(&self, _: BufferId) {}
+    fn drop_device_copy(&self, _: BufferId) {}
 
     fn fetch(&self, _: &Frame) -> bool {
         true

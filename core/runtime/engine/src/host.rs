@@ -386,7 +386,7 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     let own = call_context.runtime.domain().is_none_or(|domain| Memory::domain_of(frame.buffer) == domain);
     memory().fetch(&frame);
     if !lent && own && memory().references(frame.buffer) == 1 {
-        memory().forget_twin(frame.buffer);
+        memory().forget_device_copy(frame.buffer);
         call_context.set_home(output, abi::HOME_HOST);
         call_context.written |= output_bit(output);
         return abi::STATUS_OK;

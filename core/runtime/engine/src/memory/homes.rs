@@ -1,8 +1,8 @@
 //! Frames whose content is in the memory of the GPU, alone or as well.
 //!
-//! Each buffer of the pools can have a twin on the GPU. A node that computes there makes frames whose content is in the
-//! twin alone ([`panoscope_abi::HOME_DEVICE`]); it is copied to the buffer when somebody reads it there, once. The twin
-//! of a frame of the processor is made when a node on the GPU reads it. Twins go with their buffers.
+//! Each buffer of the pools can have a copy on the GPU. A node that computes there makes frames whose content is in the
+//! copy alone ([`panoscope_abi::HOME_DEVICE`]); it is copied to the buffer when somebody reads it there, once. The copy
+//! of a frame of the processor is made when a node on the GPU reads it. Copies go with their buffers.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -19,10 +19,10 @@ const GRAY: &str = include_str!("gray.wgsl");
 const GRAY_GROUP: [u32; 2] = [32, 4];
 
 static GRAY_KERNEL: OnceLock<u64> = OnceLock::new();
-/// Twins by pool and offset of their buffers.
-type Twins = HashMap<(u32, u64), Arc<Mutex<Twin>>>;
+/// Copies by pool and offset of their buffers.
+type Copies = HashMap<(u32, u64), Arc<Mutex<DeviceCopy>>>;
 
-static TWINS: Mutex<Option<Twins>> = Mutex::new(None);
+static COPIES: Mutex<Option<Copies>> = Mutex::new(None);
 /// Whether a frame was ever made on the GPU.
 static IN_USE: AtomicBool = AtomicBool::new(false);
 /// Frames whose content the GPU lost.
@@ -30,7 +30,7 @@ static LOST: AtomicU64 = AtomicU64::new(0);
 static LOST_BECAUSE: Mutex<String> = Mutex::new(String::new());
 
 /// Where the content of a buffer is.
-struct Twin {
+struct DeviceCopy {
     /// The buffer on the GPU.
     handle: u64,
     is_on_device: bool,
@@ -72,48 +72,48 @@ fn blank(frame: &Frame) {
 }
 
 impl Memory {
-    fn twin(id: BufferId) -> Option<Arc<Mutex<Twin>>> {
-        lock(&TWINS).as_ref()?.get(&key(id)).cloned()
+    fn copy_of(id: BufferId) -> Option<Arc<Mutex<DeviceCopy>>> {
+        lock(&COPIES).as_ref()?.get(&key(id)).cloned()
     }
 
-    /// The twin of a buffer that the caller holds, or a new one; `None` when that cannot be made.
-    fn twin_or(&self, id: BufferId, new: impl FnOnce() -> Option<Twin>) -> Option<Arc<Mutex<Twin>>> {
-        let mut twins = lock(&TWINS);
-        let twins = twins.get_or_insert_default();
-        if let Some(twin) = twins.get(&key(id)) {
-            return Some(Arc::clone(twin));
+    /// The copy of a buffer that the caller holds, or a new one; `None` when that cannot be made.
+    fn copy_or(&self, id: BufferId, new: impl FnOnce() -> Option<DeviceCopy>) -> Option<Arc<Mutex<DeviceCopy>>> {
+        let mut copies = lock(&COPIES);
+        let copies = copies.get_or_insert_default();
+        if let Some(copy) = copies.get(&key(id)) {
+            return Some(Arc::clone(copy));
         }
         let (pool, slot) = self.slot(id)?;
-        let twin = Arc::new(Mutex::new(new()?));
-        twins.insert(key(id), Arc::clone(&twin));
-        pool.has_twin[slot].store(1, Ordering::Relaxed);
-        Some(twin)
+        let copy = Arc::new(Mutex::new(new()?));
+        copies.insert(key(id), Arc::clone(&copy));
+        pool.has_device_copy[slot].store(1, Ordering::Relaxed);
+        Some(copy)
     }
 
-    /// Drops the twin of a buffer.
+    /// Drops the copy of a buffer.
     #[cold]
-    pub(super) fn drop_twin(&self, id: BufferId) {
-        let twin = lock(&TWINS).as_mut().and_then(|twins| twins.remove(&key(id)));
-        if let (Some(twin), Some(device)) = (twin, DeviceMemory::opened()) {
-            device.free(lock(&twin).handle);
+    pub(super) fn drop_device_copy(&self, id: BufferId) {
+        let copy = lock(&COPIES).as_mut().and_then(|copies| copies.remove(&key(id)));
+        if let (Some(copy), Some(device)) = (copy, DeviceMemory::opened()) {
+            device.free(lock(&copy).handle);
         }
     }
 
-    /// Before the host's memory of a buffer is written: its twin would not follow.
-    pub(crate) fn forget_twin(&self, id: BufferId) {
+    /// Before the host's memory of a buffer is written: its copy would not follow.
+    pub(crate) fn forget_device_copy(&self, id: BufferId) {
         if let Some((pool, slot)) = self.slot(id)
-            && pool.has_twin[slot].swap(0, Ordering::Relaxed) != 0
+            && pool.has_device_copy[slot].swap(0, Ordering::Relaxed) != 0
         {
-            self.drop_twin(id);
+            self.drop_device_copy(id);
         }
     }
 
-    /// Gives a new buffer of `len` bytes a twin that holds its content. Returns the buffer on the GPU, `None` when that
+    /// Gives a new buffer of `len` bytes a copy that holds its content. Returns the buffer on the GPU, `None` when that
     /// fails.
     pub(crate) fn place_on_device(&self, id: BufferId, len: usize) -> Option<u64> {
         let handle = DeviceMemory::open().ok()?.buffer(len)?;
         IN_USE.store(true, Ordering::Relaxed);
-        self.twin_or(id, || Some(Twin { handle, is_on_device: true, is_in_memory: false }))?;
+        self.copy_or(id, || Some(DeviceCopy { handle, is_on_device: true, is_in_memory: false }))?;
         Some(handle)
     }
 
@@ -121,20 +121,20 @@ impl Memory {
     /// that fails.
     pub(crate) fn device_buffer(&self, frame: &Frame) -> Option<u64> {
         let device = DeviceMemory::open().ok()?;
-        let twin = self.twin_or(frame.buffer, || {
+        let copy = self.copy_or(frame.buffer, || {
             let handle = device.buffer(frame.len)?;
-            Some(Twin { handle, is_on_device: false, is_in_memory: true })
+            Some(DeviceCopy { handle, is_on_device: false, is_in_memory: true })
         })?;
-        let mut twin = lock(&twin);
-        if !twin.is_on_device {
+        let mut copy = lock(&copy);
+        if !copy.is_on_device {
             // SAFETY: the caller holds the frame, and nodes write only frames that nobody shares.
-            if !device.write(twin.handle, unsafe { bytes(frame) }) {
+            if !device.write(copy.handle, unsafe { bytes(frame) }) {
                 return None;
             }
             current_node::count_copy();
-            twin.is_on_device = true;
+            copy.is_on_device = true;
         }
-        Some(twin.handle)
+        Some(copy.handle)
     }
 
     /// Makes sure that the content of a frame that the caller holds is in the host's memory. `false` when it is lost.
@@ -142,15 +142,15 @@ impl Memory {
         if frame.buffer.home == abi::HOME_HOST {
             return true;
         }
-        let Some(twin) = Self::twin(frame.buffer) else { return true };
-        let mut twin = lock(&twin);
-        if twin.is_in_memory {
+        let Some(copy) = Self::copy_of(frame.buffer) else { return true };
+        let mut copy = lock(&copy);
+        if copy.is_in_memory {
             return true;
         }
         let Some(device) = DeviceMemory::opened() else { return false };
         // SAFETY: the buffer has `len` bytes, and its readers wait for this copy.
-        let is_read = unsafe { device.read(twin.handle, frame.data, frame.len) };
-        twin.is_in_memory = true;
+        let is_read = unsafe { device.read(copy.handle, frame.data, frame.len) };
+        copy.is_in_memory = true;
         current_node::count_copy();
         if !is_read {
             blank(frame);
@@ -160,7 +160,7 @@ impl Memory {
         is_read
     }
 
-    /// Writes the gray values of a frame of [`abi::FORMAT_BGR8`], whose content is on the GPU, into the twin of `gray`,
+    /// Writes the gray values of a frame of [`abi::FORMAT_BGR8`], whose content is on the GPU, into the copy of `gray`,
     /// a new buffer for `width` x `height` bytes with rows of `stride` bytes, a multiple of 4. `false` when that fails.
     pub(crate) fn gray_on_device(&self, frame: &Frame, gray: BufferId, stride: usize) -> bool {
         let Ok(device) = DeviceMemory::open() else { return false };
@@ -272,11 +272,11 @@ mod tests {
         lock(&BUFFERS)[handle as usize - 1].as_mut().expect("a buffer")[0] = 9;
         assert_eq!(memory().device_buffer(here.frame()), Some(handle));
         assert_eq!(content(handle).expect("a buffer")[0], 9, "it is copied once");
-        memory().forget_twin(here.frame().buffer);
-        assert_eq!(content(handle), None, "a frame that is written has no twin");
+        memory().forget_device_copy(here.frame().buffer);
+        assert_eq!(content(handle), None, "a frame that is written has no copy");
         let handle = memory().device_buffer(here.frame()).expect("a buffer");
         drop(here);
-        assert_eq!(content(handle), None, "twins go with their frames");
+        assert_eq!(content(handle), None, "copies go with their frames");
 
         let there = frame(abi::HOME_DEVICE);
         let handle = memory().place_on_device(there.frame().buffer, 100).expect("a buffer");

@@ -235,9 +235,9 @@ impl Memory {
             // Orders the reads of all former owners before the next use. A load and not a fence, which ThreadSanitizer does not know.
             pool.references[slot].load(Ordering::Acquire);
             self.in_use_bytes.fetch_sub(1 << pool.bits, Ordering::Relaxed);
-            if pool.has_twin[slot].load(Ordering::Relaxed) != 0 {
-                pool.has_twin[slot].store(0, Ordering::Relaxed);
-                self.drop_twin(id);
+            if pool.has_device_copy[slot].load(Ordering::Relaxed) != 0 {
+                pool.has_device_copy[slot].store(0, Ordering::Relaxed);
+                self.drop_device_copy(id);
             }
             pool.put_back(slot as u32);
         }

@@ -43,8 +43,8 @@ pub(super) struct Pool {
     pub references: Box<[AtomicU32]>,
     /// Number of uses of each slot, wrapping.
     pub uses: Box<[AtomicU32]>,
-    /// Whether each slot has a twin on the GPU, 0 or 1.
-    pub has_twin: Box<[AtomicU32]>,
+    /// Whether each slot has a copy on the GPU, 0 or 1.
+    pub has_device_copy: Box<[AtomicU32]>,
     free: Mutex<Free>,
 }
 
@@ -83,10 +83,10 @@ impl Pool {
             return None;
         }
         let zeros = || (0..slots).map(|_| AtomicU32::new(0)).collect();
-        let (references, uses, has_twin) = (zeros(), zeros(), zeros());
+        let (references, uses, has_device_copy) = (zeros(), zeros(), zeros());
         let slots = Vec::with_capacity(slots.min(1024));
         let free = Free { slots, untouched: 0, open: backing == Backing::Private, file: None, last: Weak::new() };
-        let pool = Pool { base: base.cast(), bits, references, uses, has_twin, free: Mutex::new(free) };
+        let pool = Pool { base: base.cast(), bits, references, uses, has_device_copy, free: Mutex::new(free) };
         if backing != Backing::Private && !pool.open(backing) {
             // SAFETY: the mapping from above, of which nobody has an address.
             unsafe { libc::munmap(base, len) };
