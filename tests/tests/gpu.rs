@@ -109,7 +109,7 @@ fn frames_are_copied_only_where_the_other_side_reads() {
     assert_eq!(copies(&gpu, "views"), 2 * FRAMES, "both views reach the GPU once");
     assert_eq!(copies(&gpu, "passes"), 0, "a frame that is handed on stays where it is");
     let all = |report: &Report| report.nodes.values().map(|node| node.copies).sum::<u64>();
-    // Both colour views and both gray views come back once each, whoever of their readers is first.
+    // Both colour views and both gray views come back once each, however many nodes read them.
     assert_eq!(
         all(&gpu) - all(&cpu),
         6 * FRAMES,

@@ -21,6 +21,7 @@ pub mod fit;
 pub mod geometry;
 pub mod lit;
 pub mod mosaic;
+pub mod rows;
 pub mod shrink;
 pub mod stereo;
 pub mod stitch;

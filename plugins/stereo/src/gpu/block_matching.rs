@@ -4,12 +4,11 @@
 //! first, whose winners the left-right check of the left view reads. No cost is stored: a workgroup iterates over the
 //! disparities and keeps the winners of its pixels.
 
-use std::ops::Range;
-use std::sync::{Mutex, PoisonError};
-
+use panoscope_imaging::rows::each_row;
 use panoscope_imaging::stereo::block_matching::TILE_MARGIN_PX;
 use panoscope_imaging::stereo::{BlockMatchingParams, Span, Tile};
 use panoscope_imaging::{Parallel, Rect, View, ViewMut};
+use std::ops::Range;
 
 use panoscope_node::device::{DeviceImage, GROUP, Gpu, Kernel, MARGIN_BYTES, Steps, Store};
 use panoscope_node::{Result, error};
@@ -26,8 +25,6 @@ const PLANE_MARGIN: usize = 4;
 const NOWHERE: usize = 0xffff_ffff;
 /// Workgroups in a row of a dispatch.
 const GROUPS_PER_ROW: usize = 32_768;
-/// Rows that a thread fills at a time.
-const ROWS: usize = 64;
 const MAX_SEARCH_PX: usize = 512;
 const MAX_MIN_DISPARITY_PX: u32 = 1 << 20;
 
@@ -363,18 +360,6 @@ impl GpuBlockMatcher {
 
 fn bytes(words: &[i32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_le_bytes()).collect()
-}
-
-/// Calls `row` with each row of a map and its number, on several threads.
-fn each_row(out: &mut ViewMut<'_, f32>, pool: &dyn Parallel, row: impl Fn(usize, &mut [f32]) + Sync) {
-    let (stride, width, height) = (out.stride, out.width * out.channels, out.height);
-    let bands: Vec<_> = out.data.chunks_mut((stride * ROWS).max(1)).map(Mutex::new).collect();
-    pool.run(bands.len(), &|index| {
-        let mut band = bands[index].lock().unwrap_or_else(PoisonError::into_inner);
-        for (at, pixels) in band.chunks_mut(stride).enumerate().take(height.saturating_sub(index * ROWS)) {
-            row(index * ROWS + at, &mut pixels[..width]);
-        }
-    });
 }
 
 /// These rows of a view, with their padding.

@@ -31,7 +31,7 @@ pub struct GpuWlsSolver {
 }
 
 impl GpuWlsSolver {
-    /// Prepares the GPU. Whoever filters may put the guide into `there` first.
+    /// Prepares the GPU. The caller may put the guide of the next map into `there` first.
     ///
     /// # Errors
     /// It rejects a shader.

@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use panoscope_imaging::rows::each_row;
 use panoscope_imaging::stitch::{Drawing, DrawnView, PaintError, Painter, Runs};
 use panoscope_imaging::{Parallel, ViewMut};
 use panoscope_node::device::{DeviceImage, Gpu, Kernel, PIXELS, Steps, Store};
@@ -12,8 +13,6 @@ use panoscope_node::{Result, error};
 const PLACE_WORDS: usize = 40;
 const HEAD_WORDS: usize = 4;
 const CANVAS_BYTES: usize = 4 * (HEAD_WORDS + 2 * PLACE_WORDS);
-/// Rows that a thread copies at a time.
-const ROWS: usize = 64;
 
 /// The views of the next panorama on the GPU, in the order in which the compositor gets them.
 pub type Sources = Arc<Mutex<Vec<DeviceImage>>>;
@@ -58,19 +57,7 @@ fn drawn_columns(views: &[DrawnView<'_>], runs: &Runs, (width, height): (usize, 
     if start < end { start / 4 * 4..end } else { 0..0 }
 }
 
-/// Calls `row` with each row of an image and its number, on several threads.
-fn each_row(out: &mut ViewMut<'_, u8>, pool: &dyn Parallel, row: impl Fn(usize, &mut [u8]) + Sync) {
-    let (stride, width, height) = (out.stride, out.width * out.channels, out.height);
-    let bands: Vec<_> = out.data.chunks_mut((stride * ROWS).max(1)).map(Mutex::new).collect();
-    pool.run(bands.len(), &|index| {
-        let mut band = bands[index].lock().unwrap_or_else(PoisonError::into_inner);
-        for (at, pixels) in band.chunks_mut(stride).enumerate().take(height.saturating_sub(index * ROWS)) {
-            row(index * ROWS + at, &mut pixels[..width]);
-        }
-    });
-}
-
-/// Draws what lies outside `columns`: the first view, shifted, or black.
+/// Draws what is outside `columns`: the first view, shifted, or black.
 fn draw_rest(drawing: &Drawing<'_>, columns: &Range<usize>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) {
     let first = &drawing.views[0];
     let (dx, dy) = first.shift.unwrap_or_default();
@@ -121,7 +108,7 @@ fn put_place(words: &mut Vec<u8>, view: &DrawnView<'_>, stride: usize, first_ver
 }
 
 impl Warper {
-    /// Prepares the GPU. Whoever draws puts the views into `sources` first.
+    /// Prepares the GPU. The caller puts the views of each panorama into `sources` first.
     ///
     /// # Errors
     /// It rejects the shader.
