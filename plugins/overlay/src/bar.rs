@@ -14,6 +14,9 @@ const DOT_STEP: f32 = 4.0;
 /// Maximum number of dots of a key: more cannot be distinguished at a glance.
 pub const MAX_DOTS: usize = 6;
 
+/// Sizes of the text relative to the given one, tried in this order until all plates fit.
+const SIZES: [f32; 3] = [1.0, 0.85, 0.7];
+
 /// Maximum growth of a bar's height.
 const MAX_GROWTH: f32 = 8.0;
 
@@ -93,23 +96,57 @@ impl Bar {
         self.entries.iter().map(|entry| (&self.words[entry.start..entry.end], entry.key))
     }
 
-    /// Draws the plates from the upper left on, line by line. A plate wider than the bar is broken at spaces; plates without room are counted at the
-    /// end of the last line.
+    /// Draws the plates from the upper left on, line by line. A plate wider than the bar is broken at spaces. The text shrinks to 70 % until all
+    /// plates fit; those without room are counted at the end of the last line.
     pub fn draw(&self, out: &mut ViewMut<'_, u8>, lines: usize, scale: f32) {
         (0..out.height).for_each(|y| out.row_mut(y).fill(GROUND));
-        let mut pen = Pen { line: 0, start: GAP * scale, x: GAP * scale, scale, lines, width: out.width as f32 };
+        let pen = |size: f32| Pen {
+            line: 0,
+            start: 0.0,
+            x: 0.0,
+            line_scale: scale,
+            scale: size * scale,
+            lines,
+            width: out.width as f32,
+        };
+        let fitting = SIZES.into_iter().find(|size| self.lay_out(&mut pen(*size), None));
+        let mut pen = pen(fitting.unwrap_or(SIZES[SIZES.len() - 1]));
+        self.lay_out(&mut pen, Some(out));
+    }
+
+    /// Places the plates, and draws them if there is a picture. Returns whether all have room.
+    fn lay_out(&self, pen: &mut Pen, mut out: Option<&mut ViewMut<'_, u8>>) -> bool {
+        pen.start = GAP * pen.scale;
         if !self.title.is_empty() {
-            draw::text(out, pen.x, scale * (GAP + 2.5), &self.title, scale, INK);
-            pen.start += draw::text_size(&self.title, scale).0 + 2.0 * ROOM * scale;
-            pen.x = pen.start;
+            if let Some(out) = &mut out {
+                draw::text(out, pen.start, pen.top() + 2.5 * pen.scale, &self.title, pen.scale, INK);
+            }
+            pen.start += draw::text_size(&self.title, pen.scale).0 + 2.0 * ROOM * pen.scale;
         }
+        pen.x = pen.start;
         for (index, (words, key)) in self.plates().enumerate() {
-            if !pen.place(out, words, key, self.entries.len() - index - 1) {
-                pen.count(out, self.entries.len() - index);
-                return;
+            let left_out = self.entries.len() - index;
+            match pen.place(out.as_deref_mut(), words, key, left_out - 1) {
+                Placed::Whole => {}
+                Placed::Cut if out.is_some() => {}
+                Placed::Cut => return false,
+                Placed::Nowhere => {
+                    pen.count(out, left_out);
+                    return false;
+                }
             }
         }
+        true
     }
+}
+
+/// What became of a plate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Placed {
+    Whole,
+    /// A part of it is beyond the edge.
+    Cut,
+    Nowhere,
 }
 
 /// Position of the next plate.
@@ -118,6 +155,8 @@ struct Pen {
     /// Where lines begin, px.
     start: f32,
     x: f32,
+    /// Scale of the lines' height, and of the text.
+    line_scale: f32,
     scale: f32,
     lines: usize,
     width: f32,
@@ -144,47 +183,55 @@ impl Pen {
         self.line < self.lines
     }
 
-    /// Draws a plate. Returns whether there was room.
-    fn place(&mut self, out: &mut ViewMut<'_, u8>, words: &str, key: Option<Key>, more: usize) -> bool {
+    /// Top of a plate in the current line, px.
+    fn top(&self) -> f32 {
+        let smaller = (self.line_scale - self.scale) * PLATE / 2.0;
+        self.line_scale * (GAP + self.line as f32 * (PLATE + GAP)) + smaller
+    }
+
+    /// Places a plate, which `more` others follow.
+    fn place(&mut self, mut out: Option<&mut ViewMut<'_, u8>>, words: &str, key: Option<Key>, more: usize) -> Placed {
         if self.line >= self.lines {
-            return false;
+            return Placed::Nowhere;
         }
         if self.plate_px(words, key) <= self.room(more) {
             self.plate(out, words, key);
-            return true;
+            return Placed::Whole;
         }
         if self.x > self.start {
-            return self.next_line() && self.place(out, words, key, more);
+            return if self.next_line() { self.place(out, words, key, more) } else { Placed::Nowhere };
         }
         // Wider than a line: as many words as fit, the rest below. A word without a space is cut by the edge.
         let fits = |end: &usize| self.plate_px(&words[..*end], key) <= self.room(more);
         match words.match_indices(' ').map(|(at, _)| at).take_while(fits).last() {
             Some(end) if self.line + 1 < self.lines => {
-                self.plate(out, &words[..end], key);
-                self.next_line() && self.place(out, words[end..].trim_start(), None, more)
+                self.plate(out.as_deref_mut(), &words[..end], key);
+                self.next_line();
+                self.place(out, words[end..].trim_start(), None, more)
             }
             // Better cut than missing: the beginning says what it is about.
             _ => {
                 self.plate(out, words, key);
-                true
+                Placed::Cut
             }
         }
     }
 
-    fn plate(&mut self, out: &mut ViewMut<'_, u8>, words: &str, key: Option<Key>) {
+    fn plate(&mut self, out: Option<&mut ViewMut<'_, u8>>, words: &str, key: Option<Key>) {
         let s = self.scale;
-        let (x, y) = (self.x, s * (GAP + self.line as f32 * (PLATE + GAP)));
+        let (x, y) = (self.x, self.top());
         let width = self.plate_px(words, key);
+        self.x += width + GAP * s;
+        let Some(out) = out else { return };
         draw::fill_rectangle(out, x as i32, y as i32, width as i32, (PLATE * s) as i32, PLATE_COLOR, 1.0);
         if let Some(key) = key {
             dots(out, (x + (ROOM + 1.5) * s, y + PLATE * s / 2.0), key, s);
         }
         draw::text(out, x + ROOM * s + self.key_px(key), y + 2.5 * s, words, s, INK);
-        self.x += width + GAP * s;
     }
 
     /// Writes how many plates are left out.
-    fn count(&mut self, out: &mut ViewMut<'_, u8>, left_out: usize) {
+    fn count(&mut self, out: Option<&mut ViewMut<'_, u8>>, left_out: usize) {
         self.line = self.lines.saturating_sub(1);
         let words = format!("+{left_out}");
         self.x = self.width - GAP * self.scale - self.plate_px(&words, None);
@@ -239,6 +286,23 @@ mod tests {
         // One line for two plates: the first, and `+1`.
         let right = |data: &[u8]| data.chunks_exact(960).any(|row| row[900..].iter().any(|v| *v > 200));
         assert!(right(&few));
+    }
+
+    #[test]
+    fn the_text_shrinks_before_a_plate_is_left_out() {
+        let mut bar = Bar::default();
+        (0..3).for_each(|k| bar.add(&format!("instrument {k}"), None));
+        let pen = |size: f32, width: f32| {
+            let mut pen = Pen { line: 0, start: 0.0, x: 0.0, line_scale: 2.0, scale: 2.0 * size, lines: 1, width };
+            (bar.lay_out(&mut pen, None), pen.x)
+        };
+        let needed = pen(1.0, 1e6).1 + 1.0;
+        assert!(pen(1.0, needed).0 && !pen(1.0, 0.8 * needed).0 && pen(0.7, 0.8 * needed).0);
+        let rows = |share: f32| {
+            inked_rows(&drawn(&bar, (share * needed) as usize + 1, 1, 2.0).0, (share * needed) as usize + 1)
+        };
+        let (full, small) = (rows(1.0), rows(0.75));
+        assert!(small.len() < full.len() && small[0] > full[0], "{full:?} {small:?}");
     }
 
     #[test]
