@@ -152,7 +152,7 @@ pub struct In<'f> {
 /// Outputs of the mosaic.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The mosaic; black where nothing has been seen.
+    /// The mosaic; black where nothing has been seen. The dark rim of a scope's frames is not shown.
     mosaic: Slot<'f, Bgr8>,
     /// Maps pixels of this frame to those of the first keyframe. State: fresh, or lost (with the last good map).
     homography: Slot<'f, Homography>,

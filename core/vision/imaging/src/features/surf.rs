@@ -150,6 +150,12 @@ impl Keypoints {
         [f64::from(self.x_px[index]), f64::from(self.y_px[index])]
     }
 
+    fn copy(&mut self, from: usize, to: usize) {
+        let lists = [&mut self.x_px, &mut self.y_px, &mut self.size_px, &mut self.angle_rad, &mut self.response];
+        lists.into_iter().for_each(|list| list[to] = list[from]);
+        self.laplacian[to] = self.laplacian[from];
+    }
+
     fn resize(&mut self, count: usize) {
         self.x_px.resize(count, 0.0);
         self.y_px.resize(count, 0.0);
@@ -191,6 +197,25 @@ impl Features {
     /// Part `part` of keypoint `index`'s descriptor.
     pub(crate) fn part(&self, index: usize, part: usize) -> Option<&Descriptor> {
         if part == 0 { &self.descriptors } else { &self.extension }.get(index)
+    }
+
+    /// Removes the keypoints whose position, px, is not kept.
+    pub(crate) fn retain(&mut self, keep: impl Fn([f64; 2]) -> bool) {
+        let mut count = 0;
+        for index in 0..self.len() {
+            if !keep(self.keypoints.position(index)) {
+                continue;
+            }
+            self.keypoints.copy(index, count);
+            self.descriptors[count] = self.descriptors[index];
+            if !self.extension.is_empty() {
+                self.extension[count] = self.extension[index];
+            }
+            count += 1;
+        }
+        self.keypoints.resize(count);
+        self.descriptors.truncate(count);
+        self.extension.truncate(count);
     }
 
     /// Removes all keypoints and keeps the memory.

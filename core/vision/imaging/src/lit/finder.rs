@@ -73,7 +73,7 @@ impl End {
 type Sides = [Vec<End>; 4];
 
 /// Finds the lit part of one view. Work per frame is a walk over a quarter of the rim.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct LitFinder {
     size: (usize, usize),
     /// Frames with light in the present window.

@@ -5,6 +5,7 @@
 //! for rounding, so a keyframe can be added, and a rectangle redrawn, independently of the rest.
 
 use super::picture::Picture;
+use super::rim::Lit;
 use crate::Rect;
 use crate::geometry::{Homography, Point};
 use crate::stitch::warp::{self, Block, Pixels, Span, UNIT_GAIN};
@@ -52,6 +53,8 @@ pub(super) struct Source<'a> {
     /// Of full size.
     pub size: (usize, usize),
     pub gain: [f32; 3],
+    /// What is lit of it, if it has a rim.
+    pub lit: Option<&'a Lit>,
 }
 
 /// A frame at the size that suits the output, with its map.
@@ -59,19 +62,24 @@ struct Ready<'a> {
     view: crate::View<'a, u8>,
     source_from_picture: [f64; 9],
     gain: [i16; 4],
+    lit: Option<&'a Lit>,
 }
 
 fn fixed(gain: [f32; 3]) -> [i16; 4] {
     std::array::from_fn(|c| gain.get(c).map_or(0, |g| (g * f32::from(UNIT_GAIN[0])).clamp(0.0, 32767.0) as i16))
 }
 
-/// Nearness of a position to the frame's middle, 1 in the middle and 0 at the border, in both directions.
+/// Place in the frame, from 0 to 2 in both directions.
 #[inline(always)]
-fn nearness(m: &[f32; 6], i: f32, over: [f32; 2]) -> (f32, f32) {
+fn place(m: &[f32; 6], i: f32, over: [f32; 2]) -> (f32, f32) {
     let scale = 1.0 / (m[4] + m[5] * i);
-    let u = (m[0] + m[1] * i) * scale * over[0] - 1.0;
-    let v = (m[2] + m[3] * i) * scale * over[1] - 1.0;
-    ((1.0 - u.abs()).max(0.0), (1.0 - v.abs()).max(0.0))
+    ((m[0] + m[1] * i) * scale * over[0], (m[2] + m[3] * i) * scale * over[1])
+}
+
+/// Nearness of a place to the frame's middle, 1 in the middle and 0 at the border, in both directions.
+#[inline(always)]
+fn nearness((u, v): (f32, f32)) -> (f32, f32) {
+    ((1.0 - (u - 1.0).abs()).max(0.0), (1.0 - (v - 1.0).abs()).max(0.0))
 }
 
 /// Weight of a pixel by its nearness to the middle in both directions, multiplied.
@@ -128,7 +136,8 @@ impl Canvas {
         // `coverage` needs a positive weight inside the frame.
         let weight = map.weight(picture_from_frame.map(middle));
         let sign = if weight < 0.0 { -1.0 } else { 1.0 };
-        Some(Ready { view, source_from_picture: map.0.map(|v| v * sign), gain: fixed(source.gain) })
+        let source_from_picture = map.0.map(|v| v * sign);
+        Some(Ready { view, source_from_picture, gain: fixed(source.gain), lit: source.lit })
     }
 
     /// Adds a frame to the sums, within a part of the image.
@@ -149,11 +158,17 @@ impl Canvas {
                     let (x, count) = (start + index * RUN, out.len() / LANES);
                     ready.sample(x, y, count, &mut block, &mut pixels, avx2);
                     let (m, over) = ready.along(x, y);
-                    // Two plain loops, which the compiler turns into vector code.
-                    let weights: [f32; RUN] = std::array::from_fn(|i| {
-                        let (a, b) = nearness(&m, i as f32, over);
-                        weight_of(a * b)
-                    });
+                    // Plain loops, which the compiler turns into vector code.
+                    let weights: [f32; RUN] = match ready.lit {
+                        None => std::array::from_fn(|i| {
+                            let (a, b) = nearness(place(&m, i as f32, over));
+                            weight_of(a * b)
+                        }),
+                        Some(lit) => std::array::from_fn(|i| {
+                            let (u, v) = place(&m, i as f32, over);
+                            lit.at(u, v).map_or(0.0, |(a, b)| weight_of(a * b))
+                        }),
+                    };
                     let pixels = pixels.0.as_chunks::<LANES>().0.iter().zip(&weights);
                     for (out, (pixel, weight)) in out.as_chunks_mut::<LANES>().0.iter_mut().zip(pixels) {
                         // The fourth byte of a pixel is 0: its position takes the weight itself.
@@ -204,8 +219,13 @@ impl Canvas {
             let at = if inside { v as usize * self.width + u as usize } else { continue };
             // Light falls off towards the border of a frame: only where the frame and what is shown are about equally near to their middles, along
             // the seam between them, do their levels measure exposure. Anything else would brighten a chain step by step.
-            let near = |at: usize, side: usize| 1.0 - (2.0 * at as f32 / (side as f32 - 1.0) - 1.0).abs();
-            let own_weight = weight_of(near(x, ready.view.width) * near(y, ready.view.height));
+            let place = |at: usize, side: usize| 2.0 * at as f32 / (side as f32 - 1.0);
+            let (across, down) = (place(x, ready.view.width), place(y, ready.view.height));
+            let near = match ready.lit {
+                None => nearness((across, down)),
+                Some(lit) => lit.at(across, down).unwrap_or_default(),
+            };
+            let own_weight = weight_of(near.0 * near.1);
             let ratio = self.sums[at * LANES + 3] / own_weight;
             if !(1.0 / GAIN_BAND..GAIN_BAND).contains(&ratio) {
                 continue;
@@ -255,8 +275,13 @@ impl Canvas {
                     let known = sums[(y * width + x) * LANES..].as_chunks::<LANES>().0;
                     let pixels = pixels.0.as_chunks::<4>().0.iter().zip(known);
                     for (i, (out, (pixel, known))) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels).enumerate() {
-                        let (a, b) = nearness(&m, i as f32, over);
-                        let alpha = if known[3] > 0.0 { (a.min(b) * (1.0 / LIVE_EDGE)).min(1.0) } else { 1.0 };
+                        let (u, v) = place(&m, i as f32, over);
+                        let near = ready.lit.map_or_else(|| Some(nearness((u, v))), |lit| lit.at(u, v));
+                        let alpha = match near {
+                            None => continue,
+                            Some((a, b)) if known[3] > 0.0 => (a.min(b) * (1.0 / LIVE_EDGE)).min(1.0),
+                            Some(_) => 1.0,
+                        };
                         for c in 0..3 {
                             let below = f32::from(out[c]);
                             out[c] = (below + (f32::from(pixel[c]) - below) * alpha + 0.5) as u8;

@@ -12,6 +12,7 @@ mod keyframe;
 mod outline;
 mod params;
 mod picture;
+mod rim;
 mod shown;
 mod skyline;
 #[cfg(test)]

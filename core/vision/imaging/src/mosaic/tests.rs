@@ -129,6 +129,54 @@ fn the_picture_shows_the_scene_where_it_is() {
     assert!(count > 300 && rms < 8.0, "{rms} gray levels over {count} pixels");
 }
 
+/// A round scope: nothing of its rim is shown, and what is at rest does not hold the mosaic.
+#[test]
+fn the_rim_of_a_scope_is_not_shown() {
+    let mut mosaic = Mosaic::new(small());
+    let mut report = MosaicReport::default();
+    let radius = 125.0;
+    for step in 0..=60 {
+        let place = on_ring(step, 60, 60.0);
+        let mut bgr = frame(&place, 0.0);
+        for (index, pixel) in bgr.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            let (x, y) = ((index % SIZE.0) as f64 - 159.5, (index / SIZE.0) as f64 - 119.5);
+            if x.hypot(y) > radius {
+                *pixel = [6; 3];
+            }
+        }
+        report = mosaic.add(View::new(&bgr, SIZE.0, SIZE.1, 3), &Serial).unwrap();
+        assert_eq!(report.state, MosaicState::Fresh, "step {step}");
+        assert!(off_px(&report.mosaic_from_frame, &place) < 1.5, "step {step}");
+    }
+    let (width, height) = (small().width, small().height);
+    let mut bgr = vec![7; width * height * 3];
+    mosaic.draw(&mut ViewMut::new(&mut bgr, width, height, 3), &Serial).unwrap();
+    let back = report.picture_from_mosaic.inverse().unwrap();
+    let (mut seen, mut dark, mut squares) = (0, 0, 0.0);
+    for y in (0..height).step_by(2) {
+        for x in (0..width).step_by(2) {
+            let pixel = &bgr[(y * width + x) * 3..][..3];
+            let [sx, sy] = back.map([x as f64, y as f64]);
+            let level = noise(sx, sy);
+            // The middles of the frames lie on a circle; away from the drawn border of the newest frame.
+            let away = (sx - 159.5 - 60.0).hypot(sy - 119.5);
+            let is_border = ((sx - 159.5).hypot(sy - 119.5) - radius).abs() < 14.0;
+            if pixel != [0; 3] && !is_border {
+                seen += 1;
+                dark += usize::from(f64::from(pixel[0]) < level - 40.0);
+                squares += (f64::from(pixel[0]) - level).powi(2);
+            }
+            if away < radius + 15.0 && (sy - 119.5).abs() < 90.0 {
+                assert_ne!(pixel, [0, 0, 0], "{sx}, {sy} was seen");
+            }
+        }
+    }
+    let rms = (squares / f64::from(seen)).sqrt();
+    assert!(seen > 5000 && dark == 0 && rms < 10.0, "{dark} of {seen} pixels are dark, {rms} gray levels");
+    // Discs of 125 px around a ring of 60 px cover about twice the area of one.
+    assert!((170.0..230.0).contains(&report.coverage_pct), "{}", report.coverage_pct);
+}
+
 #[test]
 fn coverage_is_the_area_that_was_seen() {
     let mut mosaic = Mosaic::new(small());

@@ -8,6 +8,7 @@ use super::keyframe::{Keyframe, index_of};
 use super::outline::{Outline, distance, union};
 use super::params::*;
 use super::picture::Picture;
+use super::rim::{Lit, Rim};
 use super::shown;
 use super::track::{Link, Test, Tracker};
 use crate::features::{Features, Surf};
@@ -54,6 +55,7 @@ pub struct Mosaic {
     surf: Surf,
     features: Features,
     live: Picture,
+    rim: Rim,
     live_gain: [f32; 3],
     keyframes: Vec<Keyframe>,
     graph: Graph,
@@ -72,6 +74,8 @@ pub struct Mosaic {
     refused: (u64, u32),
     near: Vec<(f64, u64)>,
     outline: Option<Outline>,
+    /// Corners of the drawn border of the newest frame.
+    border: Vec<(f32, f32)>,
     report: MosaicReport,
 }
 
@@ -86,6 +90,7 @@ impl Mosaic {
             surf: Surf::new(params.surf),
             features: Features::default(),
             live: Picture::default(),
+            rim: Rim::default(),
             live_gain: [1.0; 3],
             keyframes: Vec::with_capacity(params.max_keyframes),
             graph: Graph::default(),
@@ -100,6 +105,7 @@ impl Mosaic {
             refused: (0, 0),
             near: Vec::with_capacity(params.max_keyframes),
             outline: None,
+            border: Vec::new(),
             report: MosaicReport { drift_px: f64::NAN, drift_pct: f64::NAN, ..MosaicReport::default() },
         }
     }
@@ -129,6 +135,7 @@ impl Mosaic {
         let whole = self.canvas.whole();
         self.canvas.clear(whole);
         self.keyframes.clear();
+        self.rim.forget();
         self.graph = Graph::default();
         (self.is_shown, self.is_settled) = (false, true);
         self.outline = None;
@@ -160,7 +167,11 @@ impl Mosaic {
         }
         self.size = (width, height);
         self.live.fill(frame, pool);
+        if self.rim.look(frame) && self.is_shown {
+            self.redraw(pool);
+        }
         self.surf.detect_and_describe(frame, None, self.params.shrink, pool, &mut self.features);
+        self.rim.clean(&mut self.features);
         self.refused.1 = self.refused.1.saturating_sub(1);
         let is_registered = if self.keyframes.is_empty() { self.begin(pool) } else { self.register_frame(pool) };
         if !is_registered {
@@ -189,13 +200,19 @@ impl Mosaic {
         match self.outline.filter(|_| self.params.live) {
             Some(outline) => {
                 let (mosaic_from_frame, gain) = (self.report.mosaic_from_frame, self.live_gain);
-                let source = Source { picture: &self.live, mosaic_from_frame, size: self.size, gain };
+                let lit = self.rim.lit();
+                let source = Source { picture: &self.live, mosaic_from_frame, size: self.size, gain, lit };
                 self.canvas.draw_over(&source, out, pool);
                 let corner = |p| {
                     let [x, y] = self.canvas.picture_from_mosaic.map(p);
                     (x as f32, y as f32)
                 };
-                draw::polygon(out, &outline.corners.map(corner), (unit * 0.25).max(1.0), LIVE);
+                self.border.clear();
+                match lit.map(Lit::border) {
+                    Some(border) => self.border.extend(border.iter().map(|p| corner(mosaic_from_frame.map(*p)))),
+                    None => self.border.extend(outline.corners.map(corner)),
+                }
+                draw::polygon(out, &self.border, (unit * 0.25).max(1.0), LIVE);
             }
             None if self.report.state == MosaicState::Lost && self.params.mark_lost => {
                 let (w, h, t) = (want_width as i32, want_height as i32, unit as i32);
@@ -246,7 +263,8 @@ impl Mosaic {
         self.live_gain = [1.0; 3];
         if self.params.exposure {
             let mosaic_from_frame = self.report.mosaic_from_frame;
-            let source = Source { picture: &self.live, mosaic_from_frame, size: self.size, gain: self.live_gain };
+            let (gain, lit) = (self.live_gain, self.rim.lit());
+            let source = Source { picture: &self.live, mosaic_from_frame, size: self.size, gain, lit };
             self.live_gain = self.canvas.gain_of(&source);
         }
         let shared = |keyframe: &Keyframe| keyframe.outline.overlap(&outline);
@@ -484,10 +502,10 @@ impl Mosaic {
         self.active = keyframe.id;
         self.keyframes.push(keyframe);
         let newest = self.keyframes.len() - 1;
-        self.keyframes[newest].own_area = own_area(&self.keyframes, newest, self.size);
+        self.keyframes[newest].own_area = own_area(&self.keyframes, newest, self.size, self.rim.lit());
         if self.is_shown {
             let part = self.canvas.rect_of(outline.bounds());
-            let source = source_of(&self.keyframes[newest], self.size);
+            let source = source_of(&self.keyframes[newest], self.size, self.rim.lit());
             self.canvas.add(&source, part, pool);
             self.canvas.finish(part, pool);
         }
@@ -508,7 +526,7 @@ impl Mosaic {
         let reach = |k: &Keyframe| 2.0 * (k.outline.area.sqrt() + dropped.outline.area.sqrt());
         for other in 0..self.keyframes.len() {
             if distance(self.keyframes[other].outline.centre, dropped.outline.centre) < reach(&self.keyframes[other]) {
-                self.keyframes[other].own_area = own_area(&self.keyframes, other, self.size);
+                self.keyframes[other].own_area = own_area(&self.keyframes, other, self.size, self.rim.lit());
             }
         }
         if self.is_shown
@@ -517,7 +535,8 @@ impl Mosaic {
             let part = self.canvas.rect_of(drawn.bounds());
             self.canvas.clear(part);
             for keyframe in &self.keyframes {
-                let source = Source { mosaic_from_frame: keyframe.drawn, ..source_of(keyframe, self.size) };
+                let source =
+                    Source { mosaic_from_frame: keyframe.drawn, ..source_of(keyframe, self.size, self.rim.lit()) };
                 self.canvas.add(&source, part, pool);
             }
             self.canvas.finish(part, pool);
@@ -551,8 +570,8 @@ impl Mosaic {
         self.canvas.clear(whole);
         for index in 0..self.keyframes.len() {
             self.keyframes[index].drawn = self.keyframes[index].mosaic_from_frame;
-            self.keyframes[index].own_area = own_area(&self.keyframes, index, self.size);
-            let source = source_of(&self.keyframes[index], self.size);
+            self.keyframes[index].own_area = own_area(&self.keyframes, index, self.size, self.rim.lit());
+            let source = source_of(&self.keyframes[index], self.size, self.rim.lit());
             self.canvas.add(&source, whole, pool);
         }
         self.canvas.finish(whole, pool);
@@ -560,9 +579,9 @@ impl Mosaic {
     }
 }
 
-fn source_of(keyframe: &Keyframe, size: (usize, usize)) -> Source<'_> {
+fn source_of<'a>(keyframe: &'a Keyframe, size: (usize, usize), lit: Option<&'a Lit>) -> Source<'a> {
     let Keyframe { picture, mosaic_from_frame, gain, .. } = keyframe;
-    Source { picture, mosaic_from_frame: *mosaic_from_frame, size, gain: *gain }
+    Source { picture, mosaic_from_frame: *mosaic_from_frame, size, gain: *gain, lit }
 }
 
 /// An edge of a registration: where both keyframes see its points.
