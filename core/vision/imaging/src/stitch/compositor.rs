@@ -5,7 +5,7 @@ mod place;
 use super::border::{self, Border};
 use super::canvas::{Bounds, CanvasHolder};
 use super::crop::Crop;
-use super::drawing::Painter;
+use super::drawing::{LazyView, PaintError, Painter};
 use super::lit_spans;
 use super::mark;
 use super::mesh::Mesh;
@@ -45,6 +45,8 @@ pub struct Compositor {
     border: Border,
     painter: Option<Box<dyn Painter>>,
     painter_fault: Option<String>,
+    /// Panorama that the processor drew when the painter failed to draw it on its device.
+    spare: Vec<u8>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,8 +93,8 @@ impl Compositor {
         }
     }
 
-    /// Lets `painter` draw the panoramas of one and of two views, up to their blending; the processor draws all others.
-    /// A painter that fails is not used again.
+    /// Lets `painter` draw the panoramas of one and of two views; the processor finds and blends the seam, and draws all
+    /// others. A painter that fails is not used again.
     pub fn set_painter(&mut self, painter: Option<Box<dyn Painter>>) {
         self.painter = painter;
         self.painter_fault = None;
@@ -166,9 +168,9 @@ impl Compositor {
     ///
     /// # Errors
     /// When views and homographies do not fit together; bad homographies give the last good canvas.
-    pub fn canvas(
+    pub fn canvas<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         state: GeometryState,
     ) -> Result<Canvas, CompositeError> {
@@ -180,18 +182,18 @@ impl Compositor {
     ///
     /// # Errors
     /// When views and homographies do not fit together.
-    pub fn accepts(
+    pub fn accepts<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         state: GeometryState,
     ) -> Result<bool, CompositeError> {
         Ok(self.prepare(views, left_from_view, state)?.state != GeometryState::Lost)
     }
 
-    fn prepare(
+    fn prepare<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         given_state: GeometryState,
     ) -> Result<Prepared, CompositeError> {
@@ -201,17 +203,18 @@ impl Compositor {
         if left_from_view.len() != views.len() {
             return Err(CompositeError::HomographyCount { views: views.len(), homographies: left_from_view.len() });
         }
-        for (view, v) in views.iter().enumerate() {
+        for (view, v) in views.iter().map(LazyView::layout).enumerate() {
             // Offsets are 32 bits and coordinates f32: both hold far beyond any camera.
             let large = v.width > 16384 || v.height > 16384 || v.stride.saturating_mul(v.height) > i32::MAX as usize;
             if v.channels != 3 || v.width < 2 || v.height < 2 || large {
                 return Err(CompositeError::View { view, width: v.width, height: v.height, channels: v.channels });
             }
         }
-        if self.sizes.len() != views.len() || self.sizes.iter().zip(views).any(|(s, v)| *s != (v.width, v.height)) {
+        let sizes = || views.iter().map(|view| (view.layout().width, view.layout().height));
+        if !self.sizes.iter().copied().eq(sizes()) {
             self.reset();
             self.sizes.clear();
-            self.sizes.extend(views.iter().map(|v| (v.width, v.height)));
+            self.sizes.extend(sizes());
         }
         let mut given = [IDENTITY; MAX_VIEWS];
         given[..views.len()].copy_from_slice(left_from_view);
@@ -271,7 +274,7 @@ impl Compositor {
         self.params.crop != CropMethod::None && self.params.canvas.is_none()
     }
 
-    fn accept(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
+    fn accept<V: LazyView>(&mut self, views: &[V], given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
         let mut quads = [[(0.0, 0.0); 4]; MAX_VIEWS];
         for (view, (w, h)) in self.sizes.iter().enumerate() {
             quads[view] = projective::warped_corners(&given[view], *w, *h, view)?;
@@ -294,9 +297,9 @@ impl Compositor {
     }
 
     /// Updates the crop with the area that the drawn views cover on the plane.
-    fn look(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS], bounds: Bounds) {
+    fn look<V: LazyView>(&mut self, views: &[V], given: &[[f64; 9]; MAX_VIEWS], bounds: Bounds) {
         for (index, (finder, view)) in self.finders.iter_mut().zip(views).enumerate() {
-            if !self.is_lit_given[index] && finder.look(*view, None) {
+            if !self.is_lit_given[index] && finder.look(view.pixels(), None) {
                 let part = Some(finder.part()).filter(|part| !part.is_whole());
                 self.layers.lit[index] = part.cloned();
                 self.has_new_part = true;
@@ -327,6 +330,40 @@ impl Compositor {
         }
     }
 
+    /// Whether the panorama that [`compose`](Self::compose) draws when called next with the same arguments can be drawn by
+    /// [`compose_on_device`](Self::compose_on_device): by a painter, without marks and with its border as it is.
+    ///
+    /// # Errors
+    /// When views and homographies do not fit together.
+    pub fn can_stay_on_device<V: LazyView>(
+        &mut self,
+        views: &[V],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+    ) -> Result<bool, CompositeError> {
+        let p = self.prepare(views, left_from_view, state)?;
+        let is_plain = self.params.border == BorderMethod::AsIs && !mark::has_marks(p.state, &self.params);
+        Ok(is_plain && self.painter.is_some() && views.len() <= 2)
+    }
+
+    /// As [`compose`](Self::compose), into the image that the painter has on its device; marks and border are not drawn.
+    /// Returns the panorama if the painter failed and the processor drew it.
+    ///
+    /// # Errors
+    /// As of [`compose`](Self::compose).
+    pub fn compose_on_device<V: LazyView>(
+        &mut self,
+        views: &[V],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+        pool: &dyn Parallel,
+        mask_out: Option<&mut ViewMut<u8>>,
+    ) -> Result<(CompositeReport, Option<View<'_, u8>>), CompositeError> {
+        let report = self.compose_into(views, left_from_view, state, pool, None, mask_out)?;
+        let Canvas { width, height, .. } = report.canvas;
+        Ok((report, self.painter.is_none().then(|| View::new(&self.spare, width, height, 3))))
+    }
+
     /// Draws the panorama of `views` on `out`.
     ///
     /// `left_from_view[i]` (row-major 3x3) maps pixels of view `i` to those of the reference view, which comes first
@@ -336,19 +373,32 @@ impl Compositor {
     ///
     /// # Errors
     /// When views, homographies or outputs do not fit together.
-    pub fn compose(
+    pub fn compose<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         state: GeometryState,
         pool: &dyn Parallel,
         out: &mut ViewMut<u8>,
         mask_out: Option<&mut ViewMut<u8>>,
     ) -> Result<CompositeReport, CompositeError> {
+        self.compose_into(views, left_from_view, state, pool, Some(out), mask_out)
+    }
+
+    /// Draws the panorama on `out`, or on the painter's device; if that fails, on `spare`.
+    fn compose_into<V: LazyView>(
+        &mut self,
+        views: &[V],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+        pool: &dyn Parallel,
+        mut out: Option<&mut ViewMut<u8>>,
+        mask_out: Option<&mut ViewMut<u8>>,
+    ) -> Result<CompositeReport, CompositeError> {
         let p = self.prepare(views, left_from_view, state)?;
         let Canvas { width, height, .. } = p.canvas;
         let fits = |v: &ViewMut<u8>, channels: usize| (v.width, v.height, v.channels) == (width, height, channels);
-        if !fits(out, 3) {
+        if out.as_ref().is_some_and(|out| !fits(out, 3)) {
             return Err(CompositeError::Output { width, height, channels: 3 });
         }
         if mask_out.as_ref().is_some_and(|m| !fits(m, 1)) {
@@ -371,19 +421,36 @@ impl Compositor {
         let views = &views[..p.active];
         let may_learn = p.state != GeometryState::Lost;
         let begun = std::time::Instant::now();
-        let (seam_found, seam_cost) = self.layers.plan(&self.params, views, may_learn, moved, p.canvas, pool, avx2);
+        let sampled = self
+            .by_painter(|layers, _, painter| layers.sample_by(painter, &all(views, V::layout)[..p.active], pool, avx2));
+        if !sampled {
+            self.layers.sample(&all(views, V::pixels)[..p.active], pool, avx2);
+        }
+        let scale = self.params.cell_px(self.sizes[0].0);
+        let (seam_found, seam_cost) = self.layers.plan(&self.params, scale, may_learn, moved, p.canvas, pool);
         let seam_time = begun.elapsed();
-        let painter = self.painter.as_deref_mut().filter(|_| views.len() <= 2);
-        if let Err(reason) = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, painter) {
-            self.painter = None;
-            self.painter_fault = Some(reason.to_string());
-            let _ = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, None);
+        let painted = self.by_painter(|layers, params, painter| {
+            let views = &all(views, V::layout)[..p.active];
+            layers.paint_by(painter, params, views, p.canvas, pool, out.as_deref_mut(), avx2)
+        });
+        if !painted {
+            let views = &all(views, V::pixels)[..p.active];
+            match &mut out {
+                Some(out) => self.layers.paint(&self.params, views, p.canvas, pool, out, avx2),
+                None => {
+                    self.spare.resize(width * height * 3, 0);
+                    let out = &mut ViewMut::new(&mut self.spare, width, height, 3);
+                    self.layers.paint(&self.params, views, p.canvas, pool, out, avx2);
+                }
+            }
         }
         if let Some(mask) = mask_out {
             self.layers.paint_mask(mask, pool);
         }
-        self.border.draw(&self.params, &self.layers.spans[..p.active], out, pool);
-        mark::draw_marks(out, p.canvas, p.state, &self.params);
+        if let Some(out) = out {
+            self.border.draw(&self.params, &self.layers.spans[..p.active], out, pool);
+            mark::draw_marks(out, p.canvas, p.state, &self.params);
+        }
         let cropped_gain = self.crop.gain_percent().filter(|_| self.is_cropped() && p.active > 1);
         let mut gains = [[1.0; 3]; MAX_VIEWS];
         gains[..p.active].copy_from_slice(&self.layers.gains[..p.active]);
@@ -400,6 +467,20 @@ impl Compositor {
             }),
             gains,
         })
+    }
+
+    /// Lets the painter work if there are one or two views; one that fails is given up. Returns whether it succeeded.
+    fn by_painter(
+        &mut self,
+        work: impl FnOnce(&mut Layers, &CompositeParams, &mut dyn Painter) -> Result<(), PaintError>,
+    ) -> bool {
+        let Some(painter) = self.painter.as_deref_mut().filter(|_| self.sizes.len() <= 2) else { return false };
+        let done = work(&mut self.layers, &self.params, painter);
+        if let Err(reason) = &done {
+            self.painter = None;
+            self.painter_fault = Some(reason.to_string());
+        }
+        done.is_ok()
     }
 
     /// Writes the view that each pixel of the last image shows: 0 none, 1 the first, 2 the second and so on.
@@ -430,4 +511,9 @@ impl Compositor {
         }
         Ok(())
     }
+}
+
+/// The layouts of all views, or their pixels.
+fn all<'v, V: LazyView>(views: &'v [V], of: fn(&'v V) -> View<'v, u8>) -> [View<'v, u8>; MAX_VIEWS] {
+    std::array::from_fn(|view| views.get(view).map_or(View::new(&[], 0, 0, 3), of))
 }

@@ -85,19 +85,15 @@ impl Compositor {
         self.reserve_views(p.active);
         for view in 0..p.active {
             self.cover(view, &p.used[view], p.canvas, avx2);
-            let mesh = self.layers.meshes[view].given();
             let warp = &mut self.layers.warps[view];
             warp.source_from_tap = Homography(warp.source_from_canvas).product(&Homography(tap)).0;
             warp.origins[1] = warp.origins[0].map(|at| at + (step / 2.0 - 0.5) as f32);
             warp.tap_step = step as f32;
             let size = self.sizes[view];
-            let from_tap = match mesh {
-                Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: warp.origins[1], step: warp.tap_step }),
-                None => Mapping::Plane(&warp.source_from_tap),
-            };
-            warp.taps.place(columns * TAPS, rows * TAPS, from_tap, size);
+            let (taps, from_tap) = warp.taps(self.layers.meshes[view].given());
+            taps.place(columns * TAPS, rows * TAPS, from_tap, size);
             if let Some(lit) = self.layers.lit[view].as_ref().filter(|part| part.size() == size) {
-                lit_spans::cut(from_tap, lit, 0..rows * TAPS, &mut warp.taps.spans, avx2);
+                lit_spans::cut(from_tap, lit, 0..rows * TAPS, &mut taps.spans, avx2);
             }
         }
         self.layers.active = p.active;
