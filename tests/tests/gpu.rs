@@ -50,6 +50,41 @@ fn graph(device: &str) -> String {
     GRAPH.replace("DEVICE", device)
 }
 
+/// Views of known geometry, joined by a homography and by a mesh.
+const PANORAMAS: &str = r#"
+mode = "batch"
+plugins = ["flow", "phantom", "stereo", "stitch"]
+[nodes.scope]
+type = "phantom"
+params = { width = 321, height = 241, distortion_k1 = -0.1 }
+[nodes.views]
+type = "rectify"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+params = { device = "DEVICE" }
+[nodes.wide]
+type = "composite"
+inputs = { left = "views.left", right = "views.right", homography = "scope.homography"MASKS }
+params = { device = "DEVICE", blend = "feather"WIDE }
+[nodes.bent]
+type = "composite_mesh"
+inputs = { left = "views.left", right = "views.right", homography = "scope.homography", disparity = "scope.disparity" }
+params = { device = "DEVICE" }
+[nodes.passes]
+type = "pass"
+inputs = { image = "wide.panorama" }
+[nodes.end]
+type = "drain"
+inputs = { image = "passes.image" }
+[nodes.shown]
+type = "READER"
+inputs = { image = "bent.panorama" }
+"#;
+
+/// The graph with more inputs and parameters of the composite, and a node that reads the panorama of the mesh.
+fn panoramas(masks: &str, wide: &str, reader: &str) -> String {
+    PANORAMAS.replace("MASKS", masks).replace("WIDE", wide).replace("READER", reader)
+}
+
 /// Offers the device that the processor plays; `false`, reported as a skip, without one.
 fn has_device() -> bool {
     open_device_by(|| Ok(panoscope_gpu::Gpu::open(Some("software")).map_err(|e| e.to_string())?.into_table()));
@@ -109,13 +144,37 @@ fn frames_are_copied_only_where_the_other_side_reads() {
     assert_eq!(copies(&gpu, "views"), 2 * FRAMES, "both views reach the GPU once");
     assert_eq!(copies(&gpu, "passes"), 0, "a frame that is handed on stays where it is");
     let all = |report: &Report| report.nodes.values().map(|node| node.copies).sum::<u64>();
-    // Both colour views and both gray views come back once each, however many nodes read them.
+    // Both gray views come back once each; the panorama is drawn where the views are.
     assert_eq!(
         all(&gpu) - all(&cpu),
-        6 * FRAMES,
+        4 * FRAMES,
         "{:?}",
         gpu.nodes.iter().map(|(id, n)| (id, n.copies)).collect::<Vec<_>>()
     );
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn panoramas_of_views_on_the_gpu_are_made_there() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-panoramas");
+    let copies = |masks: &str, wide: &str, reader: &str| {
+        let text = panoramas(masks, wide, reader);
+        let [cpu, gpu] = ["cpu", "gpu"].map(|device| plain(&folder, &text.replace("DEVICE", device)));
+        let all = |report: &Report| report.nodes.values().map(|node| node.copies).sum::<u64>();
+        all(&gpu) - all(&cpu)
+    };
+    let masks = ", mask_left = \"scope.visible\", mask_right = \"scope.visible\"";
+    let crop = ", crop = \"filled\"";
+    // Both views reach the GPU.
+    assert_eq!(copies("", "", "drain"), 2 * FRAMES);
+    assert_eq!(copies("", "", "transpose"), 3 * FRAMES, "a panorama that is read on the processor comes back");
+    assert_eq!(copies("", ", border = \"fade\"", "drain"), 2 * FRAMES, "what the processor fades is no frame yet");
+    assert_eq!(copies(masks, crop, "drain"), 2 * FRAMES, "masks say what of the views is lit");
+    // Without masks the processor looks at both views, every quarter of a second: at frames 0 and 8.
+    assert_eq!(copies("", crop, "drain"), 2 * FRAMES + 4);
     let _ = std::fs::remove_dir_all(&folder);
 }
 
@@ -157,6 +216,13 @@ fn an_isolated_node_computes_on_a_device_of_its_process() {
     let isolated = disturbed(&folder, &text);
     for port in SAME {
         assert_eq!(isolated.port(port), cpu.port(port), "{port}");
+    }
+    let text = panoramas("", "", "drain").replace("DEVICE", "gpu");
+    let here = disturbed(&folder, &text);
+    let isolated = disturbed(&folder, &text.replace("type = \"composite", "isolate = \"gpu\"\ntype = \"composite"));
+    for port in ["wide.panorama", "bent.panorama"] {
+        assert_eq!(isolated.port(port), here.port(port), "{port}");
+        assert_eq!(here.port(port).len(), FRAMES as usize, "{port}");
     }
     let _ = std::fs::remove_dir_all(&folder);
 }

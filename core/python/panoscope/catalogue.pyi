@@ -917,7 +917,7 @@ class NodeTypes:
         up_deg: Direction of up in the left view, clockwise from the top of the image. (-180 to 180 deg; default 0)
         mark_lost: Marks frames whose registration is lost. (default True)
         on_lost: Output while a frame's registration is lost or implausible. (default "last")
-        device: What draws panoramas of two views, up to the transition along the seam. A GPU sometimes rounds positions differently, by 1/64 px; it is worthwhile for views of 1920x1080 and more. Without a GPU, and for more views, the processor draws. (default "cpu")"""
+        device: What draws panoramas of two views. A GPU sometimes rounds positions differently, by 1/64 px; it is worthwhile for views of 1920x1080 and more, and with views that are on the GPU. The panorama stays there, unless marks or a border are drawn on it. The processor still finds and blends the seam, for which it reads samples and the columns around the seam. Without a GPU, and for more views, the processor draws. (default "cpu")"""
 
     def composite_mesh(
         self,
@@ -1014,7 +1014,7 @@ class NodeTypes:
         up_deg: Direction of up in the left view, clockwise from the top of the image. (-180 to 180 deg; default 0)
         mark_lost: Marks frames whose registration is lost. (default True)
         on_lost: Output while a frame's registration is lost or implausible. (default "last")
-        device: What draws panoramas of two views, up to the transition along the seam. A GPU sometimes rounds positions differently, by 1/64 px; it is worthwhile for views of 1920x1080 and more. Without a GPU, and for more views, the processor draws. (default "cpu")"""
+        device: What draws panoramas of two views. A GPU sometimes rounds positions differently, by 1/64 px; it is worthwhile for views of 1920x1080 and more, and with views that are on the GPU. The panorama stays there, unless marks or a border are drawn on it. The processor still finds and blends the seam, for which it reads samples and the columns around the seam. Without a GPU, and for more views, the processor draws. (default "cpu")"""
 
     def composite_opencv(
         self,

@@ -9,7 +9,7 @@ use panoscope_base::Threads;
 use panoscope_imaging::stitch::*;
 use panoscope_imaging::{Parallel, View, ViewMut};
 use panoscope_node::device::{Gpu, Store};
-use panoscope_stitch::gpu::warp::{Sources, Warper};
+use panoscope_stitch::gpu::warp::{SharedFrame, Warper, locked};
 use support::{bench_sizes, beside, image, print, upload, waves};
 
 fn panorama(gpu: Gpu, size: (usize, usize), pool: &dyn Parallel) {
@@ -26,12 +26,12 @@ fn panorama(gpu: Gpu, size: (usize, usize), pool: &dyn Parallel) {
     let plane = [1.0, 0.0, 290.0 * k, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let cell_px = (20.0 * k) as usize;
     let mut compositors = [Compositor::new(params.clone()), Compositor::new(params)];
-    let sources = Sources::default();
+    let images = SharedFrame::default();
     let mut stores: [Store; 2] = Default::default();
     let [a, b] = &mut stores;
     let held = [image(gpu, a, size, 3), image(gpu, b, size, 3)];
-    *sources.lock().expect("no panic") = held.to_vec();
-    let warper = Warper::new(gpu, sources).expect("a warper");
+    locked(&images).views = held.to_vec();
+    let warper = Warper::new(gpu, images).expect("a warper");
     compositors[1].set_painter(Some(Box::new(warper)));
     let mut frame = 0;
     let mut outs = [Vec::new(), Vec::new()];

@@ -1,13 +1,12 @@
 //! `composite`: combines overlapping views and their homographies into one wide image (thesis, chapter 2.2 and Alg. 2.3).
 
-use std::sync::PoisonError;
 use std::time::Duration;
 
 use panoscope_imaging::Report;
 use panoscope_imaging::lit::HeldMask;
 use panoscope_imaging::stitch::{
-    self, BlendMethod, BorderMethod, CompositeParams, Compositor, CropMethod, ExposureMethod, GeometryState, MAX_VIEWS,
-    Painter, SeamCost, SeamMethod,
+    self, BlendMethod, BorderMethod, CompositeParams, Compositor, CropMethod, ExposureMethod, GeometryState, LazyView,
+    MAX_VIEWS, Painter, SeamCost, SeamMethod,
 };
 use panoscope_node::abi::{self, Homography, Roi, Scalar};
 use panoscope_node::device::{Device, given_up};
@@ -16,7 +15,7 @@ use panoscope_node::{
     Validation, Value, View, error,
 };
 
-use crate::gpu::warp::{Sources, Warper};
+use crate::gpu::warp::{SharedFrame, Warper, locked};
 use crate::view_gain::ViewGain;
 
 /// Method that finds the seam between two views.
@@ -159,8 +158,9 @@ pub struct CompositeNodeParams {
     /// Output while a frame's registration is lost or implausible.
     #[param(default = "last")]
     pub(crate) on_lost: OnLost,
-    /// What draws panoramas of two views, up to the transition along the seam. A GPU sometimes rounds positions differently, by 1/64 px; it is
-    /// worthwhile for views of 1920x1080 and more. Without a GPU, and for more views, the processor draws.
+    /// What draws panoramas of two views. A GPU sometimes rounds positions differently, by 1/64 px; it is worthwhile for views of 1920x1080 and
+    /// more, and with views that are on the GPU. The panorama stays there, unless marks or a border are drawn on it. The processor still finds and
+    /// blends the seam, for which it reads samples and the columns around the seam. Without a GPU, and for more views, the processor draws.
     #[param(default = "cpu")]
     pub(crate) device: Device,
 }
@@ -170,8 +170,8 @@ pub(crate) struct Drawer {
     pub kernel: Compositor,
     masks: [HeldMask; MAX_VIEWS],
     device: Device,
-    /// Views for a painter on the GPU.
-    sources: Sources,
+    /// Images for a painter on the GPU.
+    frame: SharedFrame,
     /// Number of seams found since the node was opened.
     seams: u64,
     gain: ViewGain,
@@ -186,7 +186,7 @@ impl Drawer {
             kernel,
             masks: Default::default(),
             device: Device::Cpu,
-            sources: Sources::default(),
+            frame: SharedFrame::default(),
             seams: 0,
             gain: ViewGain::default(),
             captured_ns: None,
@@ -198,23 +198,25 @@ impl Drawer {
     fn choose(&mut self, device: Device, report: &dyn Report) {
         if device != self.device {
             self.device = device;
-            let painter = device.open(report, |gpu| Warper::new(gpu, self.sources.clone()));
+            let painter = device.open(report, |gpu| Warper::new(gpu, self.frame.clone()));
             self.kernel.set_painter(painter.map(|warper| Box::new(warper) as Box<dyn Painter>));
         }
     }
 
-    /// Gives the views of the tick to a painter on the GPU, if there is one.
-    pub(crate) fn give_views(&self, inputs: &SceneInputs<'_, '_>) {
-        if !self.kernel.has_painter() {
-            return;
+    /// Gives the views of the tick to a painter on the GPU, if there is one that draws them.
+    fn give_views(&self, scene: &Scene<'_>) {
+        if self.kernel.has_painter() && scene.count <= 2 {
+            // A view that does not get there is missed by the painter, which is then given up.
+            let views = scene.views().iter().filter_map(|view| view.0.on_device().ok());
+            let mut frame = locked(&self.frame);
+            frame.views.clear();
+            frame.views.extend(views);
         }
-        let mut sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
-        sources.clear();
-        // A view that does not get there is missed by the painter, which is then given up.
-        match inputs.views {
-            Some(views) => sources.extend(views.iter().flatten().filter_map(|view| view.on_device().ok())),
-            None => sources.extend(inputs.pair.iter().flatten().filter_map(|view| view.on_device().ok())),
-        }
+    }
+
+    /// Whether the homographies of the scene are used.
+    pub(crate) fn accepts(&mut self, scene: &Scene<'_>) -> Result<bool> {
+        Ok(self.kernel.accepts(scene.views(), &scene.maps[..scene.count], scene.state)?)
     }
 
     /// Updates the masks of the views.
@@ -368,9 +370,24 @@ pub(crate) struct SceneInputs<'i, 'f> {
     pub masks: Option<&'i List<'f, Image<'f, Mask>>>,
 }
 
+/// A view of a tick, which is copied to the host's memory when it is read there.
+#[derive(Clone, Copy)]
+pub(crate) struct SceneView<'f>(pub Image<'f, Bgr8>);
+
+impl LazyView for SceneView<'_> {
+    fn layout(&self) -> View<'_, u8> {
+        let stride = self.0.frame().stride_bytes as usize;
+        View { data: &[], width: self.0.width(), height: self.0.height(), stride, channels: 3 }
+    }
+
+    fn pixels(&self) -> View<'_, u8> {
+        self.0.view()
+    }
+}
+
 /// The views of a tick and their maps to the first one.
 pub(crate) struct Scene<'f> {
-    pub views: [View<'f, u8>; MAX_VIEWS],
+    views: [SceneView<'f>; MAX_VIEWS],
     pub maps: [[f64; 9]; MAX_VIEWS],
     /// State of each map.
     pub states: [u32; MAX_VIEWS],
@@ -380,40 +397,48 @@ pub(crate) struct Scene<'f> {
 }
 
 impl<'f> Scene<'f> {
-    fn new() -> Self {
+    /// A scene of one view.
+    fn new(first: Image<'f, Bgr8>) -> Self {
         Self {
-            views: [View::new(&[], 0, 0, 3); MAX_VIEWS],
+            views: [SceneView(first); MAX_VIEWS],
             maps: [stitch::IDENTITY; MAX_VIEWS],
             states: [abi::STATE_FRESH; MAX_VIEWS],
-            count: 0,
+            count: 1,
             state: GeometryState::Fresh,
         }
     }
 
-    fn push(&mut self, view: View<'f, u8>, map: Option<&Homography>) -> Result<()> {
+    /// All views.
+    pub(crate) fn views(&self) -> &[SceneView<'f>] {
+        &self.views[..self.count]
+    }
+
+    /// Columns and rows of a view.
+    pub(crate) fn size(&self, view: usize) -> (usize, usize) {
+        (self.views[view].0.width(), self.views[view].0.height())
+    }
+
+    fn push(&mut self, view: Image<'f, Bgr8>, map: &Homography) -> Result<()> {
         if self.count == MAX_VIEWS {
             return Err(error!("the connected views exceed the limit of {MAX_VIEWS}"));
         }
-        self.views[self.count] = view;
-        if let Some(map) = map {
-            (self.maps[self.count], self.states[self.count]) = (map.left_from_right, map.state);
-            // The worst state of all views decides.
-            self.state = match (map.state, self.state) {
-                (abi::STATE_LOST, _) | (_, GeometryState::Lost) => GeometryState::Lost,
-                (abi::STATE_HELD, _) | (_, GeometryState::Held) => GeometryState::Held,
-                _ => GeometryState::Fresh,
-            };
-        }
+        self.views[self.count] = SceneView(view);
+        (self.maps[self.count], self.states[self.count]) = (map.left_from_right, map.state);
+        // The worst state of all views decides.
+        self.state = match (map.state, self.state) {
+            (abi::STATE_LOST, _) | (_, GeometryState::Lost) => GeometryState::Lost,
+            (abi::STATE_HELD, _) | (_, GeometryState::Held) => GeometryState::Held,
+            _ => GeometryState::Fresh,
+        };
         self.count += 1;
         Ok(())
     }
 
     /// `None` while a view or its homography is missing.
     pub(crate) fn of(input: &SceneInputs<'_, 'f>) -> Result<Option<Self>> {
-        let mut scene = Self::new();
         if let Some(views) = input.views {
             let Some(first) = views.get(0) else { return Ok(None) };
-            scene.push(first.view(), None)?;
+            let mut scene = Self::new(first);
             let maps = input.homographies;
             let given = maps.map_or(0, List::len);
             if given + 1 != views.len() {
@@ -427,14 +452,14 @@ impl<'f> Scene<'f> {
                 let (Some(view), Some(map)) = (views.get(index), maps.and_then(|m| m.get(index - 1))) else {
                     return Ok(None);
                 };
-                scene.push(view.view(), Some(&map))?;
+                scene.push(view, &map)?;
             }
             return Ok(Some(scene));
         }
         let [Some(left), Some(right)] = input.pair else { return Ok(None) };
-        scene.push(left.view(), None)?;
+        let mut scene = Self::new(*left);
         let lost = Homography { left_from_right: stitch::IDENTITY, rms_px: 0.0, inliers: 0, state: abi::STATE_LOST };
-        scene.push(right.view(), Some(input.homography.unwrap_or(&lost)))?;
+        scene.push(*right, input.homography.unwrap_or(&lost))?;
         Ok(Some(scene))
     }
 }
@@ -450,22 +475,31 @@ pub(crate) struct Slots<'s, 'f> {
 }
 
 /// Draws the panorama of a tick and fills the other outputs.
-pub(crate) fn draw(
-    drawer: &mut Drawer,
-    cx: &Context<'_>,
-    (views, maps, state): (&[View<'_, u8>], &[[f64; 9]], GeometryState),
-    slots: Slots<'_, '_>,
-) -> Result<()> {
-    let Drawer { kernel, seams, gain, captured_ns, .. } = drawer;
+pub(crate) fn draw(drawer: &mut Drawer, cx: &Context<'_>, scene: &Scene<'_>, slots: Slots<'_, '_>) -> Result<()> {
+    drawer.give_views(scene);
+    let Drawer { kernel, frame, seams, gain, captured_ns, .. } = drawer;
+    let (views, maps, state) = (scene.views(), &scene.maps[..scene.count], scene.state);
     let now_ns = cx.tick().capture_ns;
     if let Some(elapsed_ns) = captured_ns.replace(now_ns).and_then(|before| u64::try_from(now_ns - before).ok()) {
         kernel.set_frame_interval(Duration::from_nanos(elapsed_ns));
     }
     let canvas = kernel.canvas(views, maps, state)?;
     let mask_is_read = slots.mask.is_read();
-    let mut panorama = slots.panorama.alloc(canvas.width, canvas.height)?;
     let mut mask = if mask_is_read { Some(slots.mask.alloc(canvas.width, canvas.height)?) } else { None };
-    let report = kernel.compose(views, maps, state, cx.pool(), &mut panorama, mask.as_mut())?;
+    let stays = kernel.can_stay_on_device(views, maps, state)?;
+    // Without room on the GPU the panorama comes back.
+    let on_device = stays.then(|| slots.panorama.alloc_on_device(canvas.width, canvas.height).ok()).flatten();
+    locked(frame).panorama = on_device;
+    let report = if on_device.is_some() {
+        let (report, drawn) = kernel.compose_on_device(views, maps, state, cx.pool(), mask.as_mut())?;
+        if let Some(drawn) = drawn {
+            slots.panorama.alloc(canvas.width, canvas.height)?.data.copy_from_slice(drawn.data);
+        }
+        report
+    } else {
+        let mut panorama = slots.panorama.alloc(canvas.width, canvas.height)?;
+        kernel.compose(views, maps, state, cx.pool(), &mut panorama, mask.as_mut())?
+    };
     if let Some(reason) = kernel.take_painter_fault() {
         cx.warn(&given_up(&reason));
     }
@@ -479,7 +513,8 @@ pub(crate) fn draw(
     if slots.shown.is_read() {
         kernel.shown(&mut slots.shown.alloc(canvas.width, canvas.height)?)?;
     }
-    let (width, height) = (views[0].width as i32, views[0].height as i32);
+    let (width, height) = scene.size(0);
+    let (width, height) = (width as i32, height as i32);
     slots.canvas.set(Roi { x: canvas.left, y: canvas.top, width, height })
 }
 
@@ -538,14 +573,12 @@ impl Node for Composite {
             masks: input.masks.as_ref(),
         };
         self.drawer.take_masks(&inputs)?;
-        self.drawer.give_views(&inputs);
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
-        let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
-        if params.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {
+        if params.on_lost == OnLost::Skip && !self.drawer.accepts(&scene)? {
             return Ok(());
         }
         let Out { panorama, mask, canvas, shown, gain, gain_text } = &mut out;
         let slots = Slots { panorama, mask, canvas, shown, gain, gain_text };
-        draw(&mut self.drawer, cx, (views, maps, scene.state), slots)
+        draw(&mut self.drawer, cx, &scene, slots)
     }
 }

@@ -243,7 +243,7 @@ impl CompositeMesh {
         calibration: Option<&Calibration>,
     ) -> Result<Option<MeshReport>> {
         let (Some(disparity), map) = (disparity, scene.maps[view]) else { return Ok(None) };
-        let sizes = [0, view].map(|view| (scene.views[view].width, scene.views[view].height));
+        let sizes = [0, view].map(|view| scene.size(view));
         let plausible = warped_corners(&map, sizes[1].0, sizes[1].1, view).is_ok();
         if scene.states[view] != abi::STATE_FRESH || !plausible {
             return Ok(None);
@@ -290,7 +290,7 @@ impl CompositeMesh {
         scene: &Scene<'_>,
         params: &CompositeMeshParams,
     ) -> Result<Option<MeshReport>> {
-        let size = (scene.views[0].width, scene.views[0].height);
+        let size = scene.size(0);
         let mut joined = std::mem::take(&mut self.joined);
         let disparity = match (&input.views, &input.disparities) {
             (None, _) => input.disparity.as_ref().map(Image::view),
@@ -396,7 +396,6 @@ impl Node for CompositeMesh {
             masks: input.masks.as_ref(),
         };
         self.drawer.take_masks(&inputs)?;
-        self.drawer.give_views(&inputs);
         let Some(scene) = Scene::of(&inputs)? else { return Ok(()) };
         if let Some(report) = self.follow_all(cx, &input, &scene, params)? {
             cx.metric("mesh_observations", report.observations as f64);
@@ -410,8 +409,7 @@ impl Node for CompositeMesh {
                 cx.metric("mesh_motion_px", report.motion_px);
             }
         }
-        let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
-        if params.composite.on_lost == OnLost::Skip && !self.drawer.kernel.accepts(views, maps, scene.state)? {
+        if params.composite.on_lost == OnLost::Skip && !self.drawer.accepts(&scene)? {
             return Ok(());
         }
         if out.mesh.is_read() {
@@ -419,6 +417,6 @@ impl Node for CompositeMesh {
         }
         let Out { panorama, mask, canvas, shown, gain, gain_text, .. } = &mut out;
         let slots = Slots { panorama, mask, canvas, shown, gain, gain_text };
-        draw(&mut self.drawer, cx, (views, maps, scene.state), slots)
+        draw(&mut self.drawer, cx, &scene, slots)
     }
 }

@@ -1,35 +1,49 @@
-//! Panoramas drawn on the GPU: views sampled by their matrix or mesh.
+//! Panoramas drawn on the GPU: views sampled by their matrix or mesh, with the blended columns around the seam as a patch.
 
-use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use panoscope_imaging::rows::each_row;
-use panoscope_imaging::stitch::{Drawing, DrawnView, PaintError, Painter, Runs};
+use panoscope_imaging::stitch::{Drawing, DrawnView, PaintError, Painter, Patch, Samples};
 use panoscope_imaging::{Parallel, ViewMut};
-use panoscope_node::device::{DeviceImage, Gpu, Kernel, PIXELS, Steps, Store};
+use panoscope_node::device::{DeviceImage, Gpu, Kernel, MARGIN_BYTES, PIXELS, Steps, Store};
 use panoscope_node::{Result, error};
 
 /// Words of a view's placement in the shader.
 const PLACE_WORDS: usize = 40;
-const HEAD_WORDS: usize = 4;
+const HEAD_WORDS: usize = 8;
 const CANVAS_BYTES: usize = 4 * (HEAD_WORDS + 2 * PLACE_WORDS);
+/// Threads in a row of those that sample.
+const SAMPLES_PER_ROW: usize = 1024;
 
-/// The views of the next panorama on the GPU, in the order in which the compositor gets them.
-pub type Sources = Arc<Mutex<Vec<DeviceImage>>>;
+/// The images of the next panorama on the GPU.
+#[derive(Debug, Default)]
+pub struct DeviceFrame {
+    /// The views, in the order in which the compositor gets them.
+    pub views: Vec<DeviceImage>,
+    /// The panorama, if it stays on the GPU.
+    pub panorama: Option<DeviceImage>,
+}
+
+/// A [`DeviceFrame`] that a node fills and its [`Warper`] reads.
+pub type SharedFrame = Arc<Mutex<DeviceFrame>>;
+
+/// The content of a frame, for the time of the guard.
+pub fn locked(frame: &SharedFrame) -> MutexGuard<'_, DeviceFrame> {
+    frame.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// Draws panoramas of one or two views. Keeps its memory on the GPU.
 #[derive(Debug)]
 pub struct Warper {
     gpu: Gpu,
     kernel: Kernel,
-    sources: Sources,
-    canvas: Store,
-    vertices: Store,
-    rows: Store,
-    runs: Store,
+    taps: Kernel,
+    frame: SharedFrame,
+    /// Memory of both kernels, by binding.
+    stores: [Store; 8],
+    /// What the processor reads, on the GPU and in the host's memory.
     target: Store,
-    /// What the GPU drew, in the host's memory.
-    drawn: Vec<u8>,
+    read: Vec<u8>,
 }
 
 /// Appends numbers of four bytes.
@@ -45,45 +59,10 @@ fn integers<const N: usize>(values: [i64; N]) -> [[u8; 4]; N] {
     values.map(|value| (value as i32).to_le_bytes())
 }
 
-/// Columns of the canvas that the device draws: those with the second view, and those in which the first one is not
-/// merely shifted. Whole groups of four.
-fn drawn_columns(views: &[DrawnView<'_>], runs: &Runs, (width, height): (usize, usize)) -> Range<usize> {
-    if views[0].shift.is_none() {
-        return 0..width;
-    }
-    let moved = views[0].moved.map(|moved| (moved.x, (moved.x + moved.width).min(width)));
-    let second = (0..height).flat_map(|y| runs.row(y)).filter(|run| run.2 == 2).map(|(start, end, _)| (start, end));
-    let (start, end) = second.chain(moved).fold((width, 0), |(a, b), (start, end)| (a.min(start), b.max(end)));
-    if start < end { start / 4 * 4..end } else { 0..0 }
-}
-
-/// Draws what is outside `columns`: the first view, shifted, or black.
-fn draw_rest(drawing: &Drawing<'_>, columns: &Range<usize>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) {
-    let first = &drawing.views[0];
-    let (dx, dy) = first.shift.unwrap_or_default();
-    each_row(out, pool, |y, row| {
-        for (start, end, shows) in drawing.runs.row(y) {
-            for (a, b) in [(start, end.min(columns.start)), (start.max(columns.end), end)] {
-                if a >= b {
-                    continue;
-                }
-                let target = &mut row[3 * a..3 * b];
-                let source = usize::try_from(y as i64 + dy).ok().filter(|y| shows == 1 && *y < first.view.height);
-                let from = usize::try_from(a as i64 + dx).ok();
-                let pixels = source.zip(from).and_then(|(y, x)| first.view.row(y).get(3 * x..3 * (x + b - a)));
-                match pixels {
-                    Some(pixels) => target.copy_from_slice(pixels),
-                    None => target.fill(0),
-                }
-            }
-        }
-    });
-}
-
-/// Writes a view's placement for the shader; `stride` is the bytes of a row, `first_vertex` its first vertex.
-fn put_place(words: &mut Vec<u8>, view: &DrawnView<'_>, stride: usize, first_vertex: usize, canvas: (usize, usize)) {
-    let pixels = &view.view;
-    put(words, integers([0, stride as i64, pixels.width as i64, pixels.height as i64]));
+/// Writes a view's placement for the shader; `stride` is the bytes of a row, `first_vertex` its first vertex, `middle`
+/// a position near the pixels that are drawn.
+fn put_place(words: &mut Vec<u8>, view: &DrawnView<'_>, stride: usize, first_vertex: usize, middle: [f64; 2]) {
+    put(words, integers([0, stride as i64, view.size.0 as i64, view.size.1 as i64]));
     put(words, integers(view.gain.map(i64::from)));
     let (dx, dy) = view.shift.unwrap_or_default();
     put(words, integers([dx, dy, i64::from(view.shift.is_some()), 0]));
@@ -97,8 +76,7 @@ fn put_place(words: &mut Vec<u8>, view: &DrawnView<'_>, stride: usize, first_ver
         [at(0), at(1), 1.0 / cell, 0.0]
     });
     put(words, floats(grid));
-    // Counted from the middle of the canvas, single precision holds positions well below 1/64 px.
-    let middle = [(canvas.0 / 2) as f64, (canvas.1 / 2) as f64];
+    // Counted from the middle, single precision holds positions well below 1/64 px.
     let m = &view.source_from_canvas;
     for row in 0..3 {
         let [a, b, c] = [m[3 * row], m[3 * row + 1], m[3 * row + 2]];
@@ -107,91 +85,164 @@ fn put_place(words: &mut Vec<u8>, view: &DrawnView<'_>, stride: usize, first_ver
     put(words, floats([middle[0], middle[1], 0.0, 0.0]));
 }
 
+/// What the drawing kernel reads besides the views.
+struct Job<'a> {
+    views: &'a [DrawnView<'a>],
+    /// See [`put_place`].
+    middle: [f64; 2],
+    /// Head of the canvas in the shader.
+    head: [usize; HEAD_WORDS],
+    /// First runs of the rows of the canvas, and first columns of those of the patch.
+    rows: [&'a [u32]; 2],
+    runs: Vec<u32>,
+    patch: &'a [u8],
+}
+
 impl Warper {
-    /// Prepares the GPU. The caller puts the views of each panorama into `sources` first.
+    /// Prepares the GPU. The caller puts the images of each panorama into `frame` first.
     ///
     /// # Errors
-    /// It rejects the shader.
-    pub fn new(gpu: Gpu, sources: Sources) -> Result<Self> {
-        let kernel = gpu.kernel("warp", &[include_str!("warp.wgsl"), PIXELS])?;
-        let (canvas, vertices, rows, runs, target) = Default::default();
-        Ok(Self { gpu, kernel, sources, canvas, vertices, rows, runs, target, drawn: Vec::new() })
+    /// It rejects a shader.
+    pub fn new(gpu: Gpu, frame: SharedFrame) -> Result<Self> {
+        let sample = include_str!("sample.wgsl");
+        let kernel = gpu.kernel("warp", &[include_str!("warp.wgsl"), sample, PIXELS])?;
+        let taps = gpu.kernel("taps", &[include_str!("taps.wgsl"), sample, PIXELS])?;
+        let (stores, target) = Default::default();
+        Ok(Self { gpu, kernel, taps, frame, stores, target, read: Vec::new() })
     }
 
-    /// Draws a panorama; see [`Painter::paint`].
-    ///
-    /// # Errors
-    /// Views that are not those of the sources; an image does not fit into the GPU or the GPU fails.
-    pub fn draw(&mut self, drawing: &Drawing<'_>, out: &mut ViewMut<'_, u8>, pool: &dyn Parallel) -> Result<()> {
-        let (views, runs) = (drawing.views, drawing.runs);
-        let fits = (1..=2).contains(&views.len()) && out.channels == 3 && runs.starts().len() == out.height + 1;
-        if !fits {
-            return Err(error!("{} views on a canvas of {} rows", views.len(), out.height));
-        }
-        let sources: Vec<DeviceImage> = self.sources.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let is_that = |(view, source): (&DrawnView<'_>, &DeviceImage)| {
-            (view.view.width, view.view.height) == (source.width, source.height)
-        };
-        if sources.len() < views.len() || !views.iter().zip(&sources).all(is_that) {
+    /// The first and the last of the views of the frame, which have these sizes.
+    fn sources(&self, sizes: impl ExactSizeIterator<Item = (usize, usize)>) -> Result<[DeviceImage; 2]> {
+        let (frame, count) = (locked(&self.frame), sizes.len());
+        if !(1..=2).contains(&count) || !sizes.eq(frame.views.iter().take(count).map(|view| (view.width, view.height)))
+        {
             return Err(error!("the views on the GPU are not those of the panorama"));
         }
-        let columns = drawn_columns(views, runs, (out.width, out.height));
-        if columns.is_empty() {
-            draw_rest(drawing, &columns, out, pool);
-            return Ok(());
-        }
-        let row_words = columns.len().div_ceil(4) * 3;
-        let mut places = Vec::with_capacity(CANVAS_BYTES);
-        put(&mut places, integers([columns.start, columns.end, out.height, row_words].map(|v| v as i64)));
-        let mut vertices = Vec::new();
-        for (view, source) in views.iter().zip(&sources) {
-            let first_vertex = vertices.len() / 8;
-            put_place(&mut places, view, source.stride_bytes, first_vertex, (out.width, out.height));
-            for vertex in view.mesh.iter().flat_map(|mesh| mesh.source) {
-                put(&mut vertices, vertex.map(f32::to_le_bytes));
-            }
-        }
-        places.resize(CANVAS_BYTES, 0);
-        let (mut starts, mut ends) = (Vec::new(), Vec::new());
-        put(&mut starts, runs.starts().iter().map(|start| start.to_le_bytes()));
-        put(&mut ends, runs.list().iter().map(|(end, shows)| ((end << 2) | u32::from(*shows)).to_le_bytes()));
+        Ok([frame.views[0], frame.views[count - 1]])
+    }
 
-        let gpu = self.gpu;
+    /// The buffers of these bindings, with room for as many bytes.
+    fn reserve<const N: usize>(&mut self, bindings: [(usize, usize); N]) -> Result<[u64; N]> {
+        let mut buffers = [0; N];
+        for (buffer, (binding, bytes)) in buffers.iter_mut().zip(bindings) {
+            *buffer = self.stores[binding].reserve(self.gpu, bytes + MARGIN_BYTES)?;
+        }
+        Ok(buffers)
+    }
+
+    /// Draws into a buffer.
+    fn run(&mut self, job: &Job<'_>, target: u64) -> Result<()> {
+        let sources = self.sources(job.views.iter().map(|view| view.size))?;
+        let mut canvas = Vec::with_capacity(CANVAS_BYTES);
+        put(&mut canvas, integers(job.head.map(|value| value as i64)));
+        let mut first_vertex = 0;
+        for (view, source) in job.views.iter().zip(&sources) {
+            put_place(&mut canvas, view, source.stride_bytes, first_vertex, job.middle);
+            first_vertex += view.mesh.map_or(0, |mesh| mesh.source.len());
+        }
+        canvas.resize(CANVAS_BYTES, 0);
+        let [row_bytes, run_bytes] = [4 * (job.rows[0].len() + job.rows[1].len()), 4 * job.runs.len()];
+        let sizes = [(0, CANVAS_BYTES), (3, 8 * first_vertex), (4, row_bytes), (5, run_bytes), (6, job.patch.len())];
+        let [places, vertices, rows, runs, patch] = self.reserve(sizes)?;
         let mut steps = Steps::default();
-        let canvas = self.canvas.reserve(gpu, CANVAS_BYTES)?;
-        let [held_vertices, held_rows, held_runs] =
-            [(&mut self.vertices, &vertices), (&mut self.rows, &starts), (&mut self.runs, &ends)]
-                .map(|(store, bytes)| store.reserve(gpu, bytes.len()));
-        let (held_vertices, held_rows, held_runs) = (held_vertices?, held_rows?, held_runs?);
-        steps.write(canvas, 0, &places);
-        steps.write(held_vertices, 0, &vertices);
-        steps.write(held_rows, 0, &starts);
-        steps.write(held_runs, 0, &ends);
-        let target_bytes = 4 * row_words * out.height;
-        let target = self.target.reserve(gpu, target_bytes)?;
-        let (first, last) = (sources[0].buffer, sources[views.len() - 1].buffer);
-        let buffers = [canvas, first, last, held_vertices, held_rows, held_runs, target];
-        steps.run(&self.kernel, &buffers, [columns.len().div_ceil(4), out.height]);
-        gpu.submit(&steps)?;
-        // The processor draws its part while the GPU works.
-        draw_rest(drawing, &columns, out, pool);
-        self.drawn.resize(target_bytes, 0);
-        gpu.read(target, &mut self.drawn)?;
-        let bytes = columns.len() * 3;
-        each_row(out, pool, |y, row| {
-            row[columns.start * 3..columns.end * 3].copy_from_slice(&self.drawn[y * 4 * row_words..][..bytes]);
-        });
+        steps.write(places, 0, &canvas);
+        let mut first_vertex = 0;
+        for mesh in job.views.iter().filter_map(|view| view.mesh) {
+            steps.write_plain(vertices, 8 * first_vertex, mesh.source.as_flattened());
+            first_vertex += mesh.source.len();
+        }
+        steps.write_plain(rows, 0, job.rows[0]);
+        steps.write_plain(rows, 4 * job.rows[0].len(), job.rows[1]);
+        steps.write_plain(runs, 0, &job.runs);
+        steps.write(patch, 0, job.patch);
+        let [first, second] = sources.map(|source| source.buffer);
+        let [width, height, ..] = job.head;
+        let buffers = [places, first, second, vertices, rows, runs, patch, target];
+        steps.run(&self.kernel, &buffers, [width.div_ceil(4), height]);
+        self.gpu.submit(&steps)
+    }
+
+    fn sample_views(&mut self, samples: &mut [Samples<'_>]) -> Result<()> {
+        let sources = self.sources(samples.iter().map(|samples| samples.size))?;
+        if samples.iter().zip(&sources).any(|(samples, source)| samples.stride != source.stride_bytes) {
+            return Err(error!("the rows of the views on the GPU are not those of the panorama"));
+        }
+        let counts = samples.iter().map(|samples| samples.values.len());
+        let (first, all) = (samples[0].values.len(), counts.sum::<usize>());
+        let words = [first, all, sources[0].stride_bytes, sources[1].stride_bytes].map(|word| word as u32);
+        let [head, positions] = self.reserve([(0, CANVAS_BYTES), (7, 8 * all)])?;
+        let target = self.target.reserve(self.gpu, 4 * all)?;
+        let mut steps = Steps::default();
+        steps.write_plain(head, 0, &words);
+        for (samples, offset) in samples.iter().zip([0, 8 * first]) {
+            steps.write_plain(positions, offset, samples.positions.as_flattened());
+        }
+        let buffers = [head, sources[0].buffer, sources[1].buffer, positions, target];
+        steps.run(&self.taps, &buffers, [SAMPLES_PER_ROW, all.div_ceil(SAMPLES_PER_ROW)]);
+        self.gpu.submit(&steps)?;
+        self.read.resize(4 * all, 0);
+        self.gpu.read(target, &mut self.read)?;
+        let values = samples.iter_mut().flat_map(|samples| samples.values.iter_mut());
+        values.zip(self.read.as_chunks::<4>().0).for_each(|(value, read)| *value = *read);
+        Ok(())
+    }
+
+    fn draw_patch(&mut self, views: &[DrawnView<'_>; 2], patch: &mut Patch) -> Result<()> {
+        let (stride, rows) = (patch.stride(), patch.starts.len());
+        let middle = [f64::from(patch.starts[rows / 2]), (patch.top + rows / 2) as f64];
+        let head = [patch.width, 2 * rows, stride / 4, 1, patch.top, rows, stride, 0];
+        let target = self.target.reserve(self.gpu, patch.pixels.len())?;
+        self.run(&Job { views, middle, head, rows: [&patch.starts, &[]], runs: Vec::new(), patch: &[] }, target)?;
+        self.gpu.read(target, &mut patch.pixels)
+    }
+
+    fn draw(&mut self, drawing: &Drawing<'_>, out: Option<&mut ViewMut<'_, u8>>, pool: &dyn Parallel) -> Result<()> {
+        let (width, height) = drawing.size;
+        let stride = DeviceImage::stride_bytes(width, 3);
+        let target = match &out {
+            Some(_) => self.target.reserve(self.gpu, stride * height)?,
+            None => locked(&self.frame)
+                .panorama
+                .take()
+                .filter(|image| (image.width, image.height, image.stride_bytes) == (width, height, stride))
+                .map(|image| image.buffer)
+                .ok_or_else(|| error!("no image of {width}x{height} on the GPU for the panorama"))?,
+        };
+        let starts = drawing.patch.map_or(&[][..], |patch| &patch.starts);
+        let rows = [drawing.runs.starts(), starts];
+        let runs = drawing.runs.list().iter().map(|(end, shows)| (end << 2) | u32::from(*shows)).collect();
+        let [top, patch_stride] = drawing.patch.map_or([0; 2], |patch| [patch.top, patch.stride()]);
+        let patch = drawing.patch.map_or(&[][..], |patch| &patch.pixels[..patch.bytes()]);
+        let head = [width, height, stride / 4, 0, top, starts.len(), patch_stride, height + 1];
+        let middle = [(width / 2) as f64, (height / 2) as f64];
+        self.run(&Job { views: drawing.views, middle, head, rows, runs, patch }, target)?;
+        let Some(out) = out else { return Ok(()) };
+        self.read.resize(stride * height, 0);
+        self.gpu.read(target, &mut self.read)?;
+        each_row(out, pool, |y, row| row.copy_from_slice(&self.read[y * stride..][..3 * width]));
         Ok(())
     }
 }
 
+fn painted(result: Result<()>) -> std::result::Result<(), PaintError> {
+    result.map_err(|error| error.to_string().into())
+}
+
 impl Painter for Warper {
+    fn sample(&mut self, samples: &mut [Samples<'_>]) -> std::result::Result<(), PaintError> {
+        painted(self.sample_views(samples))
+    }
+
+    fn draw_columns(&mut self, views: &[DrawnView<'_>; 2], patch: &mut Patch) -> std::result::Result<(), PaintError> {
+        painted(self.draw_patch(views, patch))
+    }
+
     fn paint(
         &mut self,
         drawing: &Drawing<'_>,
-        out: &mut ViewMut<'_, u8>,
+        out: Option<&mut ViewMut<'_, u8>>,
         pool: &dyn Parallel,
     ) -> std::result::Result<(), PaintError> {
-        self.draw(drawing, out, pool).map_err(|error| error.to_string().into())
+        painted(self.draw(drawing, out, pool))
     }
 }

@@ -1,4 +1,5 @@
-// Draws one or two views on a canvas: which view each pixel shows is given as runs of columns, where it lies there by a matrix or a mesh.
+// Draws one or two views on a canvas: which view each pixel shows is given as runs of columns, where it lies there by a matrix or a mesh. Columns
+// around the seam come from a patch that the processor has blended, for which it first gets them of both views.
 // Positions are rounded to 1/64 px, as on the processor.
 
 struct Place {
@@ -24,12 +25,18 @@ struct Place {
 }
 
 struct Canvas {
-    // Columns that are drawn: the first, and one past the last.
-    left: u32,
-    right: u32,
+    // Columns and rows that are drawn.
+    width: u32,
     height: u32,
     // Words of a row of what is drawn.
     stride: u32,
+    // 1 to draw the columns of the patch: of the first view, and below of the second.
+    draws_columns: u32,
+    // Row of the canvas in which the patch begins, its rows, bytes of a row, and number in `rows` of its first row.
+    patch_top: u32,
+    patch_height: u32,
+    patch_stride: u32,
+    patch_rows: u32,
     places: array<Place, 2>,
 }
 
@@ -37,20 +44,25 @@ struct Canvas {
 @group(0) @binding(1) var<storage, read> first_view: array<u32>;
 @group(0) @binding(2) var<storage, read> second_view: array<u32>;
 @group(0) @binding(3) var<storage, read> vertices: array<vec2<f32>>;
-// Number of the first run of each row, and one more.
+// Number of the first run of each row, and one more; then the first column of each row of the patch, which may stand alone.
 @group(0) @binding(4) var<storage, read> rows: array<u32>;
-// End of each run times 4, and the view that it shows: 0 none, 1 the first, 2 the second.
+// End of each run times 4, and what it shows: 0 nothing, 1 the first view, 2 the second, 3 the patch.
 @group(0) @binding(5) var<storage, read> runs: array<u32>;
-@group(0) @binding(6) var<storage, read_write> target_words: array<u32>;
+// Blended pixels of the patch, three bytes each.
+@group(0) @binding(6) var<storage, read> patch_words: array<u32>;
+@group(0) @binding(7) var<storage, read_write> target_words: array<u32>;
 
-// The view that this thread reads: 0 the first, 1 the second.
+// What this thread reads: 0 the first view, 1 the second, 2 the patch.
 var<private> shown_view: u32;
 
 fn source_word(at: u32) -> u32 {
     if (shown_view == 0u) {
         return first_view[at];
     }
-    return second_view[at];
+    if (shown_view == 1u) {
+        return second_view[at];
+    }
+    return patch_words[at];
 }
 
 // Position in the view, in 1/64 px.
@@ -88,45 +100,48 @@ fn locate(index: u32, x: i32, y: i32) -> vec2<i32> {
     return vec2<i32>(at * 64.0 + vec2<f32>(0.5, 0.5));
 }
 
-fn round_multiply(a: vec3<i32>, b: vec3<i32>) -> vec3<i32> {
-    return (a * b + vec3<i32>(0x4000)) >> vec3<u32>(15u);
-}
-
-fn sampled(index: u32, x: i32, y: i32) -> u32 {
+// Pixel of a view or of the patch at a position of the canvas.
+fn shown(index: u32, x: u32, y: u32) -> u32 {
     shown_view = index;
-    let at = locate(index, x, y);
+    if (index == 2u) {
+        let row = y - canvas.patch_top;
+        return joined(left_pixel(two_pixels(row * canvas.patch_stride + 3u * (x - rows[canvas.patch_rows + row]))));
+    }
+    let at = locate(index, i32(x), i32(y));
     let place = &canvas.places[index];
     let last = vec2<i32>((*place).width - 2, (*place).height - 2);
     let whole = min(at >> vec2<u32>(6u, 6u), last);
     let part = at - whole * 64;
     let offset = u32(whole.y) * (*place).stride + u32(whole.x) * 3u;
-    let top = two_pixels(offset);
-    let bottom = two_pixels(offset + (*place).stride);
-    let t = left_pixel(top) * (64 - part.x) + right_pixel(top) * part.x;
-    let b = left_pixel(bottom) * (64 - part.x) + right_pixel(bottom) * part.x;
-    let value = t + round_multiply((b - t) * 2, vec3<i32>(part.y * 256));
-    let gained = (round_multiply(value, (*place).gain.xyz) + vec3<i32>(16)) >> vec3<u32>(5u);
-    return joined(clamp(gained, vec3<i32>(0), vec3<i32>(255)));
+    return between(offset, (*place).stride, 64 - part.x, part.x, part.y * 256, (*place).gain.xyz);
 }
 
 @compute @workgroup_size(32, 4)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let first = canvas.left + id.x * 4u;
-    if (first >= canvas.right || id.y >= canvas.height) {
+    let first = id.x * 4u;
+    if (first >= canvas.width || id.y >= canvas.height) {
         return;
     }
-    var run = rows[id.y];
-    let last = rows[id.y + 1u];
     var pixels: array<u32, 4>;
-    for (var i = 0u; i < 4u; i++) {
-        let x = first + i;
-        while (run + 1u < last && (runs[run] >> 2u) <= x) {
-            run++;
+    if (canvas.draws_columns == 1u) {
+        let row = id.y % canvas.patch_height;
+        let x = rows[row] + first;
+        for (var i = 0u; i < 4u; i++) {
+            pixels[i] = shown(id.y / canvas.patch_height, x + i, canvas.patch_top + row);
         }
-        let shows = runs[run] & 3u;
-        pixels[i] = 0u;
-        if (shows != 0u && x < canvas.right) {
-            pixels[i] = sampled(shows - 1u, i32(x), i32(id.y));
+    } else {
+        var run = rows[id.y];
+        let last = rows[id.y + 1u];
+        for (var i = 0u; i < 4u; i++) {
+            let x = first + i;
+            while (run + 1u < last && (runs[run] >> 2u) <= x) {
+                run++;
+            }
+            let shows = runs[run] & 3u;
+            pixels[i] = 0u;
+            if (shows != 0u && x < canvas.width) {
+                pixels[i] = shown(shows - 1u, x, id.y);
+            }
         }
     }
     store_four(id.y * canvas.stride + id.x * 3u, pixels);

@@ -3,9 +3,10 @@
 use super::blend::{self, Blender, Ranges};
 use super::pyramid::{LANES, ONE};
 use super::segments::{BASE_ONLY, BASE_SHOWN, EMPTY, NEW_ONLY, NEW_SHOWN, Segment, Segments};
-use crate::{Parallel, Rect, SharedMut, ViewMut};
+use crate::{Parallel, Rect, SharedMut};
 
-/// Blends the differences of a step inside the zone `z` and adds them to the image.
+/// Blends the differences of a step inside the zone `z` and adds them to the image `out`, BGR, whose pixel in a column and
+/// row of the canvas is at the byte that `at` gives; pixels of a row follow one another.
 pub(super) fn blend_zone(
     blender: &mut Blender,
     segments: &Segments,
@@ -13,13 +14,12 @@ pub(super) fn blend_zone(
     z: Rect,
     bands: bool,
     pool: &dyn Parallel,
-    out: &mut ViewMut<u8>,
+    (out, at): (&mut [u8], &(dyn Fn(usize, usize) -> usize + Sync)),
     avx2: bool,
 ) {
-    let stride = out.stride;
     fill_rows(blender, segments, ranges, z);
     blender.build(bands, ranges, pool, avx2);
-    let target = SharedMut::new(&mut *out.data);
+    let target = SharedMut::new(out);
     blender.finish(bands, ranges, pool, avx2, &|row, blended, differences| {
         let y = z.y + row;
         let (start, end) = ranges.active(row);
@@ -30,7 +30,7 @@ pub(super) fn blend_zone(
                 continue;
             }
             // SAFETY: `finish` hands each row to one chunk.
-            let pixels = unsafe { target.part(y * stride + a * 3, (b - a) * 3) };
+            let pixels = unsafe { target.part(at(a, y), (b - a) * 3) };
             let part = (a - start) * LANES..(b - start) * LANES;
             let subtract = segment.kind != NEW_ONLY;
             blend::apply(pixels, &blended[part.clone()], &differences[part], subtract, avx2);

@@ -1,21 +1,20 @@
 //! The compositor: views and homographies in, panorama out.
 
+mod place;
+
 use super::border::{self, Border};
 use super::canvas::{Bounds, CanvasHolder};
 use super::crop::Crop;
-use super::drawing::Painter;
+use super::drawing::{LazyView, PaintError, Painter};
 use super::lit_spans;
 use super::mark;
-use super::mesh::{Mapping, Mesh, MeshGrid};
-use super::paint::{Layers, Step, Warp, levels_of};
+use super::mesh::Mesh;
+use super::paint::Layers;
 use super::params::*;
 use super::projective::{self, IDENTITY};
 use super::segments;
-use super::taps::{TAPS, Taps};
-use super::warp::Span;
-use crate::geometry::{Homography, Point};
 use crate::lit::{LitFinder, LitPart};
-use crate::{Parallel, Rect, Simd, View, ViewMut};
+use crate::{Parallel, Simd, View, ViewMut};
 
 /// Default time between frames, s.
 const USUAL_FRAME_S: f64 = 1.0 / 30.0;
@@ -46,6 +45,8 @@ pub struct Compositor {
     border: Border,
     painter: Option<Box<dyn Painter>>,
     painter_fault: Option<String>,
+    /// Panorama that the processor drew when the painter failed to draw it on its device.
+    spare: Vec<u8>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,8 +93,8 @@ impl Compositor {
         }
     }
 
-    /// Lets `painter` draw the panoramas of one and of two views, up to their blending; the processor draws all others.
-    /// A painter that fails is not used again.
+    /// Lets `painter` draw the panoramas of one and of two views; the processor finds and blends the seam, and draws all
+    /// others. A painter that fails is not used again.
     pub fn set_painter(&mut self, painter: Option<Box<dyn Painter>>) {
         self.painter = painter;
         self.painter_fault = None;
@@ -167,9 +168,9 @@ impl Compositor {
     ///
     /// # Errors
     /// When views and homographies do not fit together; bad homographies give the last good canvas.
-    pub fn canvas(
+    pub fn canvas<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         state: GeometryState,
     ) -> Result<Canvas, CompositeError> {
@@ -181,18 +182,18 @@ impl Compositor {
     ///
     /// # Errors
     /// When views and homographies do not fit together.
-    pub fn accepts(
+    pub fn accepts<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         state: GeometryState,
     ) -> Result<bool, CompositeError> {
         Ok(self.prepare(views, left_from_view, state)?.state != GeometryState::Lost)
     }
 
-    fn prepare(
+    fn prepare<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         given_state: GeometryState,
     ) -> Result<Prepared, CompositeError> {
@@ -202,17 +203,18 @@ impl Compositor {
         if left_from_view.len() != views.len() {
             return Err(CompositeError::HomographyCount { views: views.len(), homographies: left_from_view.len() });
         }
-        for (view, v) in views.iter().enumerate() {
+        for (view, v) in views.iter().map(LazyView::layout).enumerate() {
             // Offsets are 32 bits and coordinates f32: both hold far beyond any camera.
             let large = v.width > 16384 || v.height > 16384 || v.stride.saturating_mul(v.height) > i32::MAX as usize;
             if v.channels != 3 || v.width < 2 || v.height < 2 || large {
                 return Err(CompositeError::View { view, width: v.width, height: v.height, channels: v.channels });
             }
         }
-        if self.sizes.len() != views.len() || self.sizes.iter().zip(views).any(|(s, v)| *s != (v.width, v.height)) {
+        let sizes = || views.iter().map(|view| (view.layout().width, view.layout().height));
+        if !self.sizes.iter().copied().eq(sizes()) {
             self.reset();
             self.sizes.clear();
-            self.sizes.extend(views.iter().map(|v| (v.width, v.height)));
+            self.sizes.extend(sizes());
         }
         let mut given = [IDENTITY; MAX_VIEWS];
         given[..views.len()].copy_from_slice(left_from_view);
@@ -272,7 +274,7 @@ impl Compositor {
         self.params.crop != CropMethod::None && self.params.canvas.is_none()
     }
 
-    fn accept(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
+    fn accept<V: LazyView>(&mut self, views: &[V], given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
         let mut quads = [[(0.0, 0.0); 4]; MAX_VIEWS];
         for (view, (w, h)) in self.sizes.iter().enumerate() {
             quads[view] = projective::warped_corners(&given[view], *w, *h, view)?;
@@ -295,9 +297,9 @@ impl Compositor {
     }
 
     /// Updates the crop with the area that the drawn views cover on the plane.
-    fn look(&mut self, views: &[View<u8>], given: &[[f64; 9]; MAX_VIEWS], bounds: Bounds) {
+    fn look<V: LazyView>(&mut self, views: &[V], given: &[[f64; 9]; MAX_VIEWS], bounds: Bounds) {
         for (index, (finder, view)) in self.finders.iter_mut().zip(views).enumerate() {
-            if !self.is_lit_given[index] && finder.look(*view, None) {
+            if !self.is_lit_given[index] && finder.look(view.pixels(), None) {
                 let part = Some(finder.part()).filter(|part| !part.is_whole());
                 self.layers.lit[index] = part.cloned();
                 self.has_new_part = true;
@@ -328,6 +330,40 @@ impl Compositor {
         }
     }
 
+    /// Whether the panorama that [`compose`](Self::compose) draws when called next with the same arguments can be drawn by
+    /// [`compose_on_device`](Self::compose_on_device): by a painter, without marks and with its border as it is.
+    ///
+    /// # Errors
+    /// When views and homographies do not fit together.
+    pub fn can_stay_on_device<V: LazyView>(
+        &mut self,
+        views: &[V],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+    ) -> Result<bool, CompositeError> {
+        let p = self.prepare(views, left_from_view, state)?;
+        let is_plain = self.params.border == BorderMethod::AsIs && !mark::has_marks(p.state, &self.params);
+        Ok(is_plain && self.painter.is_some() && views.len() <= 2)
+    }
+
+    /// As [`compose`](Self::compose), into the image that the painter has on its device; marks and border are not drawn.
+    /// Returns the panorama if the painter failed and the processor drew it.
+    ///
+    /// # Errors
+    /// As of [`compose`](Self::compose).
+    pub fn compose_on_device<V: LazyView>(
+        &mut self,
+        views: &[V],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+        pool: &dyn Parallel,
+        mask_out: Option<&mut ViewMut<u8>>,
+    ) -> Result<(CompositeReport, Option<View<'_, u8>>), CompositeError> {
+        let report = self.compose_into(views, left_from_view, state, pool, None, mask_out)?;
+        let Canvas { width, height, .. } = report.canvas;
+        Ok((report, self.painter.is_none().then(|| View::new(&self.spare, width, height, 3))))
+    }
+
     /// Draws the panorama of `views` on `out`.
     ///
     /// `left_from_view[i]` (row-major 3x3) maps pixels of view `i` to those of the reference view, which comes first
@@ -337,19 +373,32 @@ impl Compositor {
     ///
     /// # Errors
     /// When views, homographies or outputs do not fit together.
-    pub fn compose(
+    pub fn compose<V: LazyView>(
         &mut self,
-        views: &[View<u8>],
+        views: &[V],
         left_from_view: &[[f64; 9]],
         state: GeometryState,
         pool: &dyn Parallel,
         out: &mut ViewMut<u8>,
         mask_out: Option<&mut ViewMut<u8>>,
     ) -> Result<CompositeReport, CompositeError> {
+        self.compose_into(views, left_from_view, state, pool, Some(out), mask_out)
+    }
+
+    /// Draws the panorama on `out`, or on the painter's device; if that fails, on `spare`.
+    fn compose_into<V: LazyView>(
+        &mut self,
+        views: &[V],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+        pool: &dyn Parallel,
+        mut out: Option<&mut ViewMut<u8>>,
+        mask_out: Option<&mut ViewMut<u8>>,
+    ) -> Result<CompositeReport, CompositeError> {
         let p = self.prepare(views, left_from_view, state)?;
         let Canvas { width, height, .. } = p.canvas;
         let fits = |v: &ViewMut<u8>, channels: usize| (v.width, v.height, v.channels) == (width, height, channels);
-        if !fits(out, 3) {
+        if out.as_ref().is_some_and(|out| !fits(out, 3)) {
             return Err(CompositeError::Output { width, height, channels: 3 });
         }
         if mask_out.as_ref().is_some_and(|m| !fits(m, 1)) {
@@ -372,19 +421,36 @@ impl Compositor {
         let views = &views[..p.active];
         let may_learn = p.state != GeometryState::Lost;
         let begun = std::time::Instant::now();
-        let (seam_found, seam_cost) = self.layers.plan(&self.params, views, may_learn, moved, p.canvas, pool, avx2);
+        let sampled = self
+            .by_painter(|layers, _, painter| layers.sample_by(painter, &all(views, V::layout)[..p.active], pool, avx2));
+        if !sampled {
+            self.layers.sample(&all(views, V::pixels)[..p.active], pool, avx2);
+        }
+        let scale = self.params.cell_px(self.sizes[0].0);
+        let (seam_found, seam_cost) = self.layers.plan(&self.params, scale, may_learn, moved, p.canvas, pool);
         let seam_time = begun.elapsed();
-        let painter = self.painter.as_deref_mut().filter(|_| views.len() <= 2);
-        if let Err(reason) = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, painter) {
-            self.painter = None;
-            self.painter_fault = Some(reason.to_string());
-            let _ = self.layers.paint(&self.params, views, p.canvas, pool, out, avx2, None);
+        let painted = self.by_painter(|layers, params, painter| {
+            let views = &all(views, V::layout)[..p.active];
+            layers.paint_by(painter, params, views, p.canvas, pool, out.as_deref_mut(), avx2)
+        });
+        if !painted {
+            let views = &all(views, V::pixels)[..p.active];
+            match &mut out {
+                Some(out) => self.layers.paint(&self.params, views, p.canvas, pool, out, avx2),
+                None => {
+                    self.spare.resize(width * height * 3, 0);
+                    let out = &mut ViewMut::new(&mut self.spare, width, height, 3);
+                    self.layers.paint(&self.params, views, p.canvas, pool, out, avx2);
+                }
+            }
         }
         if let Some(mask) = mask_out {
             self.layers.paint_mask(mask, pool);
         }
-        self.border.draw(&self.params, &self.layers.spans[..p.active], out, pool);
-        mark::draw_marks(out, p.canvas, p.state, &self.params);
+        if let Some(out) = out {
+            self.border.draw(&self.params, &self.layers.spans[..p.active], out, pool);
+            mark::draw_marks(out, p.canvas, p.state, &self.params);
+        }
         let cropped_gain = self.crop.gain_percent().filter(|_| self.is_cropped() && p.active > 1);
         let mut gains = [[1.0; 3]; MAX_VIEWS];
         gains[..p.active].copy_from_slice(&self.layers.gains[..p.active]);
@@ -401,6 +467,20 @@ impl Compositor {
             }),
             gains,
         })
+    }
+
+    /// Lets the painter work if there are one or two views; one that fails is given up. Returns whether it succeeded.
+    fn by_painter(
+        &mut self,
+        work: impl FnOnce(&mut Layers, &CompositeParams, &mut dyn Painter) -> Result<(), PaintError>,
+    ) -> bool {
+        let Some(painter) = self.painter.as_deref_mut().filter(|_| self.sizes.len() <= 2) else { return false };
+        let done = work(&mut self.layers, &self.params, painter);
+        if let Err(reason) = &done {
+            self.painter = None;
+            self.painter_fault = Some(reason.to_string());
+        }
+        done.is_ok()
     }
 
     /// Writes the view that each pixel of the last image shows: 0 none, 1 the first, 2 the second and so on.
@@ -431,153 +511,9 @@ impl Compositor {
         }
         Ok(())
     }
-
-    fn reserve_views(&mut self, count: usize) {
-        while self.layers.warps.len() < count {
-            self.layers.warps.push(Warp {
-                source_from_canvas: IDENTITY,
-                source_from_tap: IDENTITY,
-                shift: None,
-                moved: None,
-                moved_spans: Vec::new(),
-                origins: [[0.0; 2]; 2],
-                tap_step: 1.0,
-                taps: Taps::default(),
-            });
-            self.layers.spans.push(Vec::new());
-            self.layers.steps.push(Step::default());
-        }
-    }
-
-    /// Finds which columns of each row of a canvas a view covers, and how it is read there.
-    fn cover(&mut self, view: usize, used: &[f64; 9], canvas: Canvas, avx2: bool) {
-        let shift = [1.0, 0.0, -f64::from(canvas.left), 0.0, 1.0, -f64::from(canvas.top), 0.0, 0.0, 1.0];
-        let (w, h) = self.sizes[view];
-        // `accept` has refused matrices without an inverse.
-        let used = Homography(*used);
-        let inverse = used.inverse_bounded().unwrap_or_default();
-        let Homography(mut m) = inverse.product(&Homography(shift));
-        let [x, y] = used.map([w as f64 / 2.0, h as f64 / 2.0]);
-        let (x, y) = (x + f64::from(canvas.left), y + f64::from(canvas.top));
-        if m[6] * x + m[7] * y + m[8] < 0.0 {
-            m = m.map(|v| -v);
-        }
-        let warp = &mut self.layers.warps[view];
-        warp.source_from_canvas = m;
-        let n = m.map(|v| v / m[8]);
-        let whole = (0..9).all(|i| [2, 5].contains(&i) || (n[i] - IDENTITY[i]).abs() < 1e-12)
-            && (n[2] - n[2].round()).abs() < 1e-6
-            && (n[5] - n[5].round()).abs() < 1e-6;
-        warp.shift = whole.then(|| (n[2].round() as i64, n[5].round() as i64));
-        warp.origins[0] = [-canvas.left, -canvas.top].map(|at| at as f32);
-        let mesh = self.layers.meshes[view].given();
-        let (spans, size) = (&mut self.layers.spans[view], canvas);
-        warp.mapping(mesh).coverage((w, h), size.width, size.height, spans);
-        warp.moved = None;
-        if let Some(mesh) = mesh.filter(|_| view == 0) {
-            warp.moved = mesh.moved().and_then(|bounds| on_canvas(bounds, canvas));
-            if let Some(moved) = warp.moved {
-                let grid = MeshGrid { mesh, origin: warp.origins[0], step: 1.0 };
-                grid.moved_spans((size.width, size.height), moved, &mut warp.moved_spans);
-            }
-            stay_outside(mesh, (w, h), canvas, spans);
-        }
-        let lit = self.layers.lit[view].as_ref().filter(|part| part.size() == (w, h));
-        if let Some(lit) = lit {
-            // The mesh of the reference view ends within it; beyond, the view stays where it is.
-            let (plane, shaped) = (Mapping::Plane(&warp.source_from_canvas), warp.mapping(mesh));
-            if view == 0 {
-                lit_spans::cut(plane, lit, 0..size.height, spans, avx2);
-            }
-            let rows = warp.moved.filter(|_| view == 0).map_or(0..size.height, |moved| moved.y..moved.y + moved.height);
-            if view > 0 || mesh.is_some() {
-                lit_spans::cut(shaped, lit, rows, spans, avx2);
-            }
-        }
-    }
-
-    /// Computes the geometry of all views on the canvas.
-    fn place(&mut self, p: &Prepared, avx2: bool) {
-        let scale = self.params.cell_px(self.sizes[0].0);
-        let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
-        let step = scale as f64 / TAPS as f64;
-        let tap = [step, 0.0, step / 2.0 - 0.5, 0.0, step, step / 2.0 - 0.5, 0.0, 0.0, 1.0];
-        self.reserve_views(p.active);
-        for view in 0..p.active {
-            self.cover(view, &p.used[view], p.canvas, avx2);
-            let mesh = self.layers.meshes[view].given();
-            let warp = &mut self.layers.warps[view];
-            warp.source_from_tap = Homography(warp.source_from_canvas).product(&Homography(tap)).0;
-            warp.origins[1] = warp.origins[0].map(|at| at + (step / 2.0 - 0.5) as f32);
-            warp.tap_step = step as f32;
-            let size = self.sizes[view];
-            let from_tap = match mesh {
-                Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: warp.origins[1], step: warp.tap_step }),
-                None => Mapping::Plane(&warp.source_from_tap),
-            };
-            warp.taps.place(columns * TAPS, rows * TAPS, from_tap, size);
-            if let Some(lit) = self.layers.lit[view].as_ref().filter(|part| part.size() == size) {
-                lit_spans::cut(from_tap, lit, 0..rows * TAPS, &mut warp.taps.spans, avx2);
-            }
-        }
-        self.layers.active = p.active;
-        if p.active == 2 && self.layers.lit[0].is_some() {
-            self.cut_beyond_first();
-        }
-        if p.active > 1 {
-            self.layers.blender.reserve(p.canvas.width, p.canvas.height, levels_of(&self.params));
-            let Layers { steps, cut, .. } = &mut self.layers;
-            for step in &mut steps[..p.active] {
-                step.ranges.reserve(p.canvas.height);
-                step.segments.reserve(p.canvas.height, columns);
-                step.seam.reserve(columns, rows, cut);
-            }
-        }
-    }
 }
 
-impl Compositor {
-    /// Removes the part of the second of two views beyond a rim of the first, on the side where it shows less.
-    fn cut_beyond_first(&mut self) {
-        let Layers { spans, warps, is_left, .. } = &mut self.layers;
-        let ([base, new, ..], [first, second, ..]) = (&mut spans[..], &mut warps[..]) else { return };
-        *is_left = lit_spans::reaches_left(base, new, *is_left);
-        lit_spans::cut_beyond(base, new, *is_left);
-        lit_spans::cut_beyond(&first.taps.spans, &mut second.taps.spans, *is_left);
-    }
-}
-
-/// The canvas pixels inside bounds on the reference plane; `None` without any.
-fn on_canvas([low, high]: [Point; 2], canvas: Canvas) -> Option<Rect> {
-    let along = |low: f64, high: f64, origin: i32, size: usize| {
-        let at = |v: f64| (v + f64::from(origin)).clamp(0.0, size as f64) as usize;
-        (at(low.floor()), at(high.ceil() + 1.0))
-    };
-    let (x0, x1) = along(low[0], high[0], canvas.left, canvas.width);
-    let (y0, y1) = along(low[1], high[1], canvas.top, canvas.height);
-    (x0 < x1 && y0 < y1).then_some(Rect { x: x0, y: y0, width: x1 - x0, height: y1 - y0 })
-}
-
-/// Adds to the columns that the mesh of the reference view covers those outside the mesh, where that view is unchanged.
-fn stay_outside(mesh: &Mesh, (width, height): (usize, usize), canvas: Canvas, spans: &mut [Span]) {
-    let lattice = mesh.lattice();
-    let ([x0, y0], [x1, y1]) = (lattice.position(0, 0), lattice.position(lattice.columns - 1, lattice.rows - 1));
-    for (y, span) in spans.iter_mut().enumerate() {
-        let row = y as i64 - i64::from(canvas.top);
-        if row < 0 || row >= height as i64 {
-            continue;
-        }
-        let start = canvas.left.max(0) as u32;
-        let own = Span { start, end: (i64::from(canvas.left) + width as i64).clamp(0, canvas.width as i64) as u32 };
-        if (row as f64) < y0 || row as f64 > y1 || span.is_empty() {
-            *span = own;
-            continue;
-        }
-        if x0 > 0.0 {
-            span.start = own.start;
-        }
-        if x1 < width as f64 - 1.0 {
-            span.end = own.end;
-        }
-    }
+/// The layouts of all views, or their pixels.
+fn all<'v, V: LazyView>(views: &'v [V], of: fn(&'v V) -> View<'v, u8>) -> [View<'v, u8>; MAX_VIEWS] {
+    std::array::from_fn(|view| views.get(view).map_or(View::new(&[], 0, 0, 3), of))
 }

@@ -8,6 +8,16 @@ const RED: Color = [40, 40, 230];
 const AMBER: Color = [30, 170, 255];
 const WHITE: Color = [255, 255, 255];
 
+/// Whether [`draw_marks`] draws anything.
+pub fn has_marks(state: GeometryState, params: &CompositeParams) -> bool {
+    let is_marked = match state {
+        GeometryState::Fresh => false,
+        GeometryState::Held => params.mark_held,
+        GeometryState::Lost => params.mark_lost,
+    };
+    is_marked || params.up_cue_deg.is_some_and(f32::is_finite)
+}
+
 /// Draws the marks that `params` ask for.
 pub fn draw_marks(out: &mut ViewMut<u8>, canvas: Canvas, state: GeometryState, params: &CompositeParams) {
     let unit = (canvas.height.min(canvas.width) as f32 / 120.0).clamp(2.0, 12.0);

@@ -24,6 +24,7 @@ mod lit_spans;
 mod mark;
 pub mod mesh;
 mod paint;
+mod painted;
 mod params;
 pub mod placement;
 mod projective;
@@ -38,7 +39,7 @@ pub mod warp;
 
 pub use coarse::map_factor;
 pub use compositor::Compositor;
-pub use drawing::{Drawing, DrawnMesh, DrawnView, PaintError, Painter, Runs};
+pub use drawing::{Drawing, DrawnMesh, DrawnView, LazyView, PaintError, Painter, Patch, Runs, Samples};
 pub use graph_cut::GridCut;
 pub use grid::{CellPoint, GridParams, GridRegistration, RegisterGrid};
 pub use mesh::{InstrumentHints, Keep, Kept, Lattice, Mesh, MeshFollower, MeshParams, MeshReport};

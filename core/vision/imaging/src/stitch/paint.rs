@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::blend::{self, Blender, Ranges};
 use super::blend_rows::{blend_zone, extend_row};
-use super::drawing::{Drawing, DrawnMesh, DrawnView, PaintError, Painter, Runs};
+use super::drawing::{DrawnMesh, DrawnView, Patch, Runs};
 use super::exposure::{RunningGain, fixed_gain};
 use super::graph_cut::GridCut;
 use super::mesh::{Mapping, Mesh, MeshGrid};
@@ -18,7 +18,7 @@ use crate::lit::LitPart;
 use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
 /// Canvas rows per chunk.
-const ROWS: usize = 16;
+pub(super) const ROWS: usize = 16;
 
 /// All views on the canvas, and the data that joins them: geometry, seams, gains, work memory.
 #[derive(Debug, Default)]
@@ -40,8 +40,9 @@ pub(super) struct Layers {
     pub(super) joined: Joined,
     pub(super) cut: GridCut,
     pub(super) blender: Blender,
-    /// Which view each pixel shows, for a painter.
+    /// What each pixel shows, and the columns around the seam, for a painter.
     pub(super) runs: Runs,
+    pub(super) patch: Patch,
 }
 
 /// Geometry of one view on the canvas.
@@ -69,6 +70,15 @@ impl Warp {
             Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: self.origins[0], step: 1.0 }),
             None => Mapping::Plane(&self.source_from_canvas),
         }
+    }
+
+    /// The coarse samples, and the mapping from them to pixels of the view.
+    pub(super) fn taps<'a>(&'a mut self, mesh: Option<&'a Mesh>) -> (&'a mut Taps, Mapping<'a>) {
+        let mapping = match mesh {
+            Some(mesh) => Mapping::Mesh(MeshGrid { mesh, origin: self.origins[1], step: self.tap_step }),
+            None => Mapping::Plane(&self.source_from_tap),
+        };
+        (&mut self.taps, mapping)
     }
 }
 
@@ -98,28 +108,29 @@ impl Layers {
         self.running = [RunningGain::default(); MAX_VIEWS];
     }
 
-    /// Samples the views and updates gains and seams. Returns whether a seam was recomputed, and the cost along it.
+    /// Samples the views for [`Layers::plan`].
+    pub(super) fn sample(&mut self, views: &[View<u8>], pool: &dyn Parallel, avx2: bool) {
+        for ((warp, mesh), view) in self.warps.iter_mut().zip(&self.meshes).zip(views) {
+            let (taps, source_from_tap) = warp.taps(mesh.given());
+            taps.fill(view, source_from_tap, pool, avx2);
+        }
+    }
+
+    /// Updates gains and seams by the samples; cells of the seams have sides of `scale` px. Returns whether a seam was
+    /// recomputed, and the cost along it.
     pub(super) fn plan(
         &mut self,
         params: &CompositeParams,
-        views: &[View<u8>],
+        scale: usize,
         may_learn: bool,
         moved: bool,
         canvas: Canvas,
         pool: &dyn Parallel,
-        avx2: bool,
     ) -> (bool, f32) {
-        let scale = params.cell_px(views[0].width);
-        for ((warp, mesh), view) in self.warps.iter_mut().zip(&self.meshes).zip(views) {
-            let Warp { source_from_tap, origins, tap_step, taps, .. } = warp;
-            let by_mesh =
-                mesh.given().map(|mesh| Mapping::Mesh(MeshGrid { mesh, origin: origins[1], step: *tap_step }));
-            taps.fill(view, by_mesh.unwrap_or(Mapping::Plane(source_from_tap)), pool, avx2);
-        }
         let (mut found_any, mut worst_cost) = (false, 0.0f32);
         let first = fixed_gain(&self.gains[0]);
         self.joined.start(&self.warps[0].taps, &first);
-        for k in 1..views.len() {
+        for k in 1..self.active {
             let taps = &self.warps[k].taps;
             if params.exposure != ExposureMethod::None
                 && may_learn
@@ -148,39 +159,14 @@ impl Layers {
                     set_ranges(ranges, seam, *z, levels_of(params), scale);
                 }
             }
-            if k + 1 < views.len() {
+            if k + 1 < self.active {
                 self.joined.add(taps, &gain, &step.seam);
             }
         }
         (found_any, worst_cost)
     }
 
-    /// Lets `painter` draw one or two views except for their blending.
-    fn hand_over(
-        &mut self,
-        views: &[View<u8>],
-        canvas: Canvas,
-        painter: &mut (dyn Painter + 'static),
-        pool: &dyn Parallel,
-        out: &mut ViewMut<u8>,
-        avx2: bool,
-    ) -> Result<(), PaintError> {
-        let second = self.steps.get(1).filter(|_| views.len() > 1);
-        let second = second.map(|step| (&step.segments, step.zone, &step.ranges));
-        self.runs.build((canvas.width, canvas.height), &self.spans[0], second);
-        let drawn = |view: usize| {
-            let (warp, mesh) = (&self.warps[view], self.meshes[view].given());
-            Source::new(&views[view], warp, mesh, &self.gains[view], avx2).drawn(&warp.source_from_canvas)
-        };
-        let count = views.len();
-        let views = [drawn(0), drawn(count - 1)];
-        painter.paint(&Drawing { views: &views[..count], runs: &self.runs }, out, pool)
-    }
-
-    /// Draws all views; with a painter, one or two, only their blending, after the painter has drawn the rest.
-    ///
-    /// # Errors
-    /// Errors of the painter.
+    /// Draws all views.
     pub(super) fn paint(
         &mut self,
         params: &CompositeParams,
@@ -189,20 +175,11 @@ impl Layers {
         pool: &dyn Parallel,
         out: &mut ViewMut<u8>,
         avx2: bool,
-        painter: Option<&mut (dyn Painter + 'static)>,
-    ) -> Result<(), PaintError> {
-        let is_drawn = painter.is_some();
-        if let Some(painter) = painter {
-            self.hand_over(views, canvas, painter, pool, out, avx2)?;
-            if views.len() == 1 || self.steps[1].zone.is_none() {
-                return Ok(());
-            }
-        }
+    ) {
         let stride = out.stride;
         let first = Source::new(&views[0], &self.warps[0], self.meshes[0].given(), &self.gains[0], avx2);
         if views.len() == 1 {
-            paint_only(&first, &self.spans[0], canvas, pool, out);
-            return Ok(());
+            return paint_only(&first, &self.spans[0], canvas, pool, out);
         }
         let levels = levels_of(params);
         for k in 1..views.len() {
@@ -221,7 +198,7 @@ impl Layers {
                         // SAFETY: rows are split between chunks.
                         let row = unsafe { target.part(y * stride, canvas.width * 3) };
                         let inside = zone.filter(|z| y >= z.y && y < z.y + z.height);
-                        if k == 1 && !is_drawn {
+                        if k == 1 {
                             let needed = inside.map_or((0, 0), |z| {
                                 let (a, b) = step.ranges.needed(y - z.y);
                                 (z.x + a, z.x + b)
@@ -238,20 +215,17 @@ impl Layers {
                                 out: d,
                             }
                         });
-                        if is_drawn && blended.is_none() {
-                            continue;
-                        }
-                        paint_new(&source, step.segments.row(y), y, row, blended, is_drawn, &mut work);
+                        paint_new(&source, step.segments.row(y), y, row, blended, &mut work);
                     }
                 });
             }
             if let Some(z) = zone {
                 let bands = params.blend == BlendMethod::MultiBand;
                 let Step { segments, ranges, .. } = &self.steps[k];
-                blend_zone(&mut self.blender, segments, ranges, z, bands, pool, out, avx2);
+                let at = |x: usize, y: usize| y * stride + x * 3;
+                blend_zone(&mut self.blender, segments, ranges, z, bands, pool, (&mut *out.data, &at), avx2);
             }
         }
-        Ok(())
     }
 
     /// Draws 255 inside views.
@@ -312,7 +286,7 @@ fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> 
 }
 
 /// One view, ready to be sampled on the canvas.
-struct Source<'a> {
+pub(super) struct Source<'a> {
     view: View<'a, u8>,
     source_from_canvas: Mapping<'a>,
     shift: Option<(i64, i64)>,
@@ -322,14 +296,21 @@ struct Source<'a> {
     avx2: bool,
 }
 
+/// Work memory of a thread.
 #[derive(Default)]
-struct Work {
+pub(super) struct Work {
     block: Block,
-    pixels: Pixels,
+    pub(super) pixels: Pixels,
 }
 
 impl<'a> Source<'a> {
-    fn new(view: &View<'a, u8>, warp: &'a Warp, mesh: Option<&'a Mesh>, gain: &[f32; 3], avx2: bool) -> Self {
+    pub(super) fn new(
+        view: &View<'a, u8>,
+        warp: &'a Warp,
+        mesh: Option<&'a Mesh>,
+        gain: &[f32; 3],
+        avx2: bool,
+    ) -> Self {
         let is_plain = mesh.is_none() || warp.moved.is_some();
         let shift = warp.shift.filter(|_| is_plain && gain.iter().all(|g| *g == 1.0));
         let moved = warp.moved.filter(|_| mesh.is_some()).map(|bounds| (bounds, &warp.moved_spans[..]));
@@ -338,14 +319,15 @@ impl<'a> Source<'a> {
     }
 
     /// The view for a painter.
-    fn drawn(&self, source_from_canvas: &[f64; 9]) -> DrawnView<'a> {
+    pub(super) fn drawn(&self, source_from_canvas: &[f64; 9]) -> DrawnView<'a> {
         let mesh = match &self.source_from_canvas {
             Mapping::Mesh(grid) => Some(DrawnMesh::of(grid)),
             Mapping::Plane(_) => None,
         };
         let (source_from_canvas, gain) = (*source_from_canvas, self.gain);
         let moved = self.moved.map(|(bounds, _)| bounds);
-        DrawnView { view: self.view, source_from_canvas, mesh, shift: self.shift, moved, gain }
+        let size = (self.view.width, self.view.height);
+        DrawnView { size, source_from_canvas, mesh, shift: self.shift, moved, gain }
     }
 
     /// Samples up to a block of canvas pixels from `(x, y)` on into `work.pixels`.
@@ -447,15 +429,40 @@ struct Blended<'a> {
     out: &'a mut [i16],
 }
 
-/// Draws the new view where it alone is shown, unless it is already drawn; in the blend zone writes differences and
-/// weights.
+/// Writes the differences and weights of a row of the blend zone into `out`: columns `start..end` of the canvas, whose
+/// pixels without the new view are `base`, BGR. `sample` puts as many pixels of the new view as asked for into the work
+/// memory, from a column on.
+pub(super) fn write_differences(
+    segments: &[Segment],
+    (start, end): (usize, usize),
+    base: &[u8],
+    out: &mut [i16],
+    work: &mut Work,
+    avx2: bool,
+    sample: impl Fn(usize, usize, &mut Work),
+) {
+    for segment in segments.iter().filter(|s| s.both()) {
+        let Some((a, b)) = segment.clip(start, end) else { continue };
+        let mut x = a;
+        while x < b {
+            let n = (b - x).min(BLOCK);
+            sample(x, n, work);
+            let part = &mut out[(x - start) * LANES..(x - start + n) * LANES];
+            let weight = if segment.kind == BASE_SHOWN { ONE } else { 0 };
+            blend::difference(&base[(x - start) * 3..(x - start + n) * 3], &work.pixels, weight, part, avx2);
+            x += n;
+        }
+    }
+    extend_row(segments, (start, end), out);
+}
+
+/// Draws the new view where it alone is shown; in the blend zone writes differences and weights.
 fn paint_new(
     source: &Source,
     segments: &[Segment],
     y: usize,
     row: &mut [u8],
     blended: Option<Blended>,
-    is_drawn: bool,
     work: &mut Work,
 ) {
     let width = row.len() / 3;
@@ -463,23 +470,9 @@ fn paint_new(
     if let Some(Blended { zone, active, needed, out }) = blended {
         let (n0, n1) = (zone.x + needed.0, zone.x + needed.1);
         let out = &mut out[needed.0 * LANES..needed.1 * LANES];
-        for segment in segments.iter().filter(|s| s.both()) {
-            let Some((a, b)) = segment.clip(n0, n1) else { continue };
-            let mut x = a;
-            while x < b {
-                let n = (b - x).min(BLOCK);
-                source.sample(x, y, n, work);
-                let part = &mut out[(x - n0) * LANES..(x - n0 + n) * LANES];
-                let weight = if segment.kind == BASE_SHOWN { ONE } else { 0 };
-                blend::difference(&row[x * 3..(x + n) * 3], &work.pixels, weight, part, source.avx2);
-                x += n;
-            }
-        }
-        extend_row(segments, (n0, n1), out);
+        let sample = |x: usize, n: usize, work: &mut Work| source.sample(x, y, n, work);
+        write_differences(segments, (n0, n1), &row[n0 * 3..n1 * 3], out, work, source.avx2, sample);
         (hidden, shown) = (zone.x + active.0, zone.x + active.1);
-    }
-    if is_drawn {
-        return;
     }
     // Inside the active columns the picture so far stays: the blend adds to it.
     for segment in segments {

@@ -1,5 +1,6 @@
 //! Coarse samples of the views on the canvas: the input of seam and exposure.
 
+use super::drawing::Samples;
 use super::exposure::OverlapLight;
 use super::mesh::Mapping;
 use super::seam::{BASE, BOTH, NEW, Seam};
@@ -22,6 +23,34 @@ pub struct Taps {
     pub spans: Vec<Span>,
     /// Samples; those outside the spans are stale.
     pub values: Vec<[u8; 4]>,
+    /// Position of each sample in the view, see [`Samples`].
+    positions: Vec<[u32; 2]>,
+}
+
+/// Calls `each` with the index of the first sample of a block, the block, and the number of its samples, for all
+/// samples that the view covers.
+fn each_block<S: Default>(
+    spans: &[Span],
+    columns: usize,
+    view: &View<u8>,
+    source_from_tap: Mapping,
+    pool: &dyn Parallel,
+    avx2: bool,
+    each: impl Fn(&mut S, usize, &Block, usize) + Sync,
+) {
+    pool.run(spans.len().div_ceil(ROWS), &|chunk| {
+        let (mut block, mut work) = (Block::default(), S::default());
+        for (y, span) in spans.iter().enumerate().skip(chunk * ROWS).take(ROWS) {
+            let mut x = span.start as usize;
+            while x < span.end as usize {
+                let n = (span.end as usize - x).min(BLOCK);
+                let size = (view.width, view.height, view.stride);
+                source_from_tap.locate((x, y), size, n, &mut block, avx2);
+                each(&mut work, y * columns + x, &block, n);
+                x += n;
+            }
+        }
+    });
 }
 
 impl Taps {
@@ -34,28 +63,39 @@ impl Taps {
 
     /// Samples the view.
     pub fn fill(&mut self, view: &View<u8>, source_from_tap: Mapping, pool: &dyn Parallel, avx2: bool) {
-        let (columns, rows) = (self.columns, self.rows);
         let values = SharedMut::new(&mut self.values);
-        let spans = &self.spans;
-        pool.run(rows.div_ceil(ROWS), &|chunk| {
-            let (mut block, mut pixels) = (Block::default(), Pixels::default());
-            for y in chunk * ROWS..(chunk * ROWS + ROWS).min(rows) {
-                let span = spans[y];
-                let mut x = span.start as usize;
-                while x < span.end as usize {
-                    let n = (span.end as usize - x).min(BLOCK);
-                    let size = (view.width, view.height, view.stride);
-                    source_from_tap.locate((x, y), size, n, &mut block, avx2);
-                    warp::sample(view, &block, n, &UNIT_GAIN, &mut pixels, avx2);
-                    // SAFETY: rows are split between chunks.
-                    let out = unsafe { values.part(y * columns + x, n) };
-                    for (o, p) in out.iter_mut().zip(pixels.0.as_chunks::<4>().0) {
-                        *o = *p;
-                    }
-                    x += n;
-                }
+        let sample = |pixels: &mut Pixels, first: usize, block: &Block, n: usize| {
+            warp::sample(view, block, n, &UNIT_GAIN, pixels, avx2);
+            // SAFETY: rows are split between chunks.
+            let out = unsafe { values.part(first, n) };
+            for (o, p) in out.iter_mut().zip(pixels.0.as_chunks::<4>().0) {
+                *o = *p;
             }
-        });
+        };
+        each_block(&self.spans, self.columns, view, source_from_tap, pool, avx2, sample);
+    }
+
+    /// Finds where [`Taps::fill`] would read a view of this size and stride. The result gets the samples.
+    pub fn locate(
+        &mut self,
+        view: &View<u8>,
+        source_from_tap: Mapping,
+        pool: &dyn Parallel,
+        avx2: bool,
+    ) -> Samples<'_> {
+        self.positions.clear();
+        self.positions.resize(self.values.len(), [0; 2]);
+        let positions = SharedMut::new(&mut self.positions);
+        let keep = |_: &mut (), first: usize, block: &Block, n: usize| {
+            // SAFETY: rows are split between chunks.
+            let out = unsafe { positions.part(first, n) };
+            for (out, position) in out.iter_mut().zip(block.offset.iter().zip(&block.weights)) {
+                *out = [*position.0, *position.1];
+            }
+        };
+        each_block(&self.spans, self.columns, view, source_from_tap, pool, avx2, keep);
+        let size = (view.width, view.height);
+        Samples { size, stride: view.stride, positions: &self.positions, values: &mut self.values }
     }
 }
 

@@ -338,7 +338,7 @@ fn wrong_calls_are_typed_errors() {
     let data = vec![0u8; 300];
     let view = View::new(&data, 10, 10, 3);
     let mut c = Compositor::new(CompositeParams::default());
-    assert_eq!(c.canvas(&[], &[], GeometryState::Fresh), Err(CompositeError::ViewCount { views: 0 }));
+    assert_eq!(c.canvas::<View<u8>>(&[], &[], GeometryState::Fresh), Err(CompositeError::ViewCount { views: 0 }));
     let e = c.canvas(&[view; 2], &[IDENTITY], GeometryState::Fresh);
     assert_eq!(e, Err(CompositeError::HomographyCount { views: 2, homographies: 1 }));
     for (w, h, channels) in [(0, 0, 3), (1, 1, 3), (10, 10, 1)] {
