@@ -1,10 +1,12 @@
 //! Nodes on the GPU: the same bytes as on the processor, which also does the work where there is none.
 
+use std::ffi::c_void;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::common::{SIZE, bgr, pair, rectified};
 use crate::gpu::support::table;
-use panoscope_node::abi::{Calibration, Device};
+use panoscope_node::abi::{self, Calibration, Device, DeviceStep, Status};
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup, lend_device};
 use panoscope_node::{Bgr8, Disparity, Gray8};
 use panoscope_stereo::{DisparityWls, Rectify, StereoBm};
@@ -29,6 +31,54 @@ fn alone() -> MutexGuard<'static, ()> {
 /// A GPU for the nodes of this process, and none.
 fn devices() -> Vec<Option<&'static Device>> {
     vec![table(), None]
+}
+
+/// Submissions that a device of [`failing`] still takes.
+static TAKEN: AtomicUsize = AtomicUsize::new(0);
+
+unsafe extern "C" fn submit_some(ctx: *mut c_void, steps: *const DeviceStep, len: usize) -> Status {
+    let is_taken = TAKEN.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_ok();
+    match table().and_then(|table| table.submit).filter(|_| is_taken) {
+        // SAFETY: the arguments are those of the device that this one stands for.
+        Some(submit) => unsafe { submit(ctx, steps, len) },
+        None => abi::STATUS_ERROR,
+    }
+}
+
+/// The device of this process, until it fails after some submissions; `None` without one.
+fn failing(after: usize) -> Option<&'static Device> {
+    let table = table()?;
+    TAKEN.store(after, Ordering::Relaxed);
+    Some(Box::leak(Box::new(Device { submit: Some(submit_some), ..*table })))
+}
+
+#[test]
+fn the_processor_matches_what_a_device_fails_to_match() -> TestResult {
+    let _alone = alone();
+    let (left, right) = pair(|x, _| 30.0 + x / 40.0, 0.0);
+    let mut expected = Vec::new();
+    for after in [usize::MAX, 0, 1, 2, 4, 7, 9, 40] {
+        let Some(device) = failing(after) else { return Ok(()) };
+        lend_device(Some(device));
+        let name = if after == usize::MAX { "cpu" } else { "gpu" };
+        let mut node = Harness::<StereoBm>::from_toml(&format!("params = {{ search_px = 64, device = \"{name}\" }}"))?;
+        for call in 0..2 {
+            node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &left);
+            let out = node.input_image::<Gray8>("right", SIZE.0, SIZE.1, &right).process()?;
+            let map = out.plane::<Disparity>("disparity")?.data.to_vec();
+            if after == usize::MAX {
+                expected.push(map);
+                continue;
+            }
+            for (found, expected) in map.iter().zip(&expected[call]) {
+                let is_same = (found.is_nan() && expected.is_nan()) || (found - expected).abs() < 1e-3;
+                assert!(is_same, "after {after}: {found} and not {expected}");
+            }
+        }
+        let warnings = node.logs().iter().filter(|line| line.level == Level::Warn).count();
+        assert_eq!(warnings, usize::from(after < 30), "after {after}: {:?}", node.logs());
+    }
+    Ok(())
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Kernels of the nodes on the GPU.
 
 pub mod block_matching;
+pub mod pair;
 pub mod rectify;
 pub mod wls;
