@@ -6,9 +6,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::common::{SIZE, bgr, pair, rectified};
 use crate::gpu::support::table;
+use crate::lit::round_pair;
 use panoscope_node::abi::{self, Calibration, Device, DeviceStep, Status};
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup, lend_device};
-use panoscope_node::{Bgr8, Disparity, Gray8};
+use panoscope_node::{Bgr8, Disparity, Gray8, Mask};
 use panoscope_stereo::{DisparityWls, Rectify, StereoBm};
 
 type TestResult = Result<(), HarnessError>;
@@ -84,7 +85,7 @@ fn the_processor_matches_what_a_device_fails_to_match() -> TestResult {
 #[test]
 fn rectified_views_do_not_depend_on_the_device() -> TestResult {
     let _alone = alone();
-    let (left, right) = pair(|_, _| 40.0, 0.0);
+    let (left, right) = round_pair();
     let mut cameras = Calibration { is_rectified: 0, ..rectified(300.0, 15.0) };
     cameras.left.distortion[0] = -0.1;
     cameras.right.distortion[1] = 0.05;
@@ -98,14 +99,22 @@ fn rectified_views_do_not_depend_on_the_device() -> TestResult {
                 node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left));
                 node.input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right));
                 let out = node.input_value("calibration", cameras).process()?;
-                made.push([out.plane::<Bgr8>("left")?.data.to_vec(), out.plane::<Bgr8>("right")?.data.to_vec()]);
+                let mut planes = Vec::new();
+                for side in ["left", "right"] {
+                    planes.push(out.plane::<Bgr8>(side)?.data.to_vec());
+                    let mask = format!("mask_{side}");
+                    let is_lit = out.is_empty(&mask)?;
+                    planes.push(if is_lit { Vec::new() } else { out.plane::<Mask>(&mask)?.data.to_vec() });
+                }
+                made.push(planes);
             }
             if device == "gpu" {
                 check_device(&node, gpu.is_some());
             }
         }
         assert!(made[0][0].iter().any(|value| *value > 0));
-        assert!(made.iter().all(|views| *views == made[0]), "scale {scale}");
+        assert!([1, 3].iter().all(|mask| made[0][*mask].contains(&0)), "there is a rim");
+        assert!(made[..2] == made[2..], "scale {scale}");
     }
     Ok(())
 }
