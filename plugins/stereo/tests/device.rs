@@ -7,10 +7,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use crate::common::{SIZE, bgr, pair, rectified};
 use crate::gpu::support::table;
 use crate::lit::round_pair;
-use panoscope_node::abi::{self, Calibration, Device, DeviceStep, Status};
+use panoscope_node::abi::{self, Calibration, CloudPoint, Device, DeviceStep, Status};
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup, lend_device};
-use panoscope_node::{Bgr8, Disparity, Gray8, Mask};
-use panoscope_stereo::{DisparityWls, Rectify, StereoBm};
+use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8, Mask};
+use panoscope_stereo::{DisparityWls, Rectify, Reproject, StereoBm};
 
 type TestResult = Result<(), HarnessError>;
 
@@ -172,6 +172,85 @@ fn smoothed_maps_hardly_depend_on_the_device() -> TestResult {
             assert!((of_cpu.is_nan() && of_gpu.is_nan()) || (of_cpu - of_gpu).abs() < 0.01, "{of_cpu} and {of_gpu}");
         }
         assert!(made[0].iter().any(|value| value.is_finite()));
+    }
+    Ok(())
+}
+
+/// Depths and words of the points of a slope with holes and steps, of all calls; `None` for the map that is not read.
+fn reprojected(node: &mut Harness<Reproject>, gray: bool) -> Result<Vec<Vec<f32>>, HarnessError> {
+    let (left, _) = pair(|_, _| 40.0, 0.0);
+    let mut made = Vec::new();
+    for call in 0..2 {
+        let disparity = |i: usize| match (i % SIZE.0 / 3 + i / SIZE.0 * 5 + call) % 37 {
+            0 => f32::NAN,
+            1 => 3.0,
+            _ => 30.0 + (i % SIZE.0) as f32 / 20.0 + if i % SIZE.0 > 150 { 12.0 } else { 0.0 },
+        };
+        let map: Vec<f32> = (0..SIZE.0 * SIZE.1).map(disparity).collect();
+        let trust: Vec<f32> = (0..SIZE.0 * SIZE.1).map(|i| (i % 41) as f32 / 40.0).collect();
+        match gray {
+            true => node.input_image::<Gray8>("image", SIZE.0, SIZE.1, &left),
+            false => node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &bgr(&left)),
+        };
+        node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map);
+        if call == 1 {
+            node.input_image::<Confidence>("confidence", SIZE.0, SIZE.1, &trust);
+        }
+        let out = node.input_value("calibration", rectified(300.0, 15.0)).process()?;
+        let point =
+            |p: &CloudPoint| [p.x_mm, p.y_mm, p.z_mm, f32::from(p.filled), f32::from(p.bgr[0]) + f32::from(p.bgr[2])];
+        made.push(out.cloud("cloud")?.iter().flat_map(point).collect());
+        made.push(out.plane::<Depth>("depth")?.data.to_vec());
+    }
+    Ok(made)
+}
+
+#[test]
+fn depths_and_points_do_not_depend_on_the_device() -> TestResult {
+    let _alone = alone();
+    for (max_hole, min_neighbours, gray) in [(0.01, 5, true), (0.0, 0, false), (0.001, 8, false)] {
+        for gpu in devices() {
+            lend_device(gpu);
+            let [cpu, there] = ["cpu", "gpu"].map(|device| {
+                let params = format!(
+                    "params = {{ max_hole = {max_hole}, min_neighbours = {min_neighbours}, device = \"{device}\" }}"
+                );
+                let mut node = Harness::<Reproject>::from_toml(&params)?;
+                let made = reprojected(&mut node, gray)?;
+                if device == "gpu" {
+                    check_device(&node, gpu.is_some());
+                }
+                Ok::<_, HarnessError>(made)
+            });
+            let cpu = cpu?;
+            let is_filled = cpu[0].as_chunks::<5>().0.iter().any(|point| point[3] == 1.0);
+            assert_eq!(is_filled, max_hole > 0.0);
+            for (cpu, there) in cpu.iter().flatten().zip(there?.iter().flatten()) {
+                let is_same = (cpu.is_nan() && there.is_nan()) || (cpu - there).abs() <= 1e-5 * cpu.abs();
+                assert!(is_same, "holes of {max_hole}: {cpu} and {there}");
+            }
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn the_processor_reprojects_what_a_device_fails_to() -> TestResult {
+    let _alone = alone();
+    let mut expected = Vec::new();
+    for after in [usize::MAX, 0, 1, 2, 3] {
+        let Some(device) = failing(after) else { return Ok(()) };
+        lend_device(Some(device));
+        let name = if after == usize::MAX { "cpu" } else { "gpu" };
+        let mut node = Harness::<Reproject>::from_toml(&format!("params = {{ device = \"{name}\" }}"))?;
+        let made = reprojected(&mut node, true)?;
+        if after == usize::MAX {
+            expected = made;
+            continue;
+        }
+        let same = made.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| a.to_bits() == b.to_bits());
+        assert!(same, "after {after}");
+        assert_eq!(node.logs().iter().filter(|line| line.level == Level::Warn).count(), 1, "{:?}", node.logs());
     }
     Ok(())
 }

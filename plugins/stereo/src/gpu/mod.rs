@@ -3,4 +3,5 @@
 pub mod block_matching;
 pub mod pair;
 pub mod rectify;
+pub mod reproject;
 pub mod wls;
