@@ -3,14 +3,15 @@
 use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams, SmallHoles};
 use panoscope_imaging::{Rect, Report, SharedMut};
 use panoscope_node::abi::{Calibration, CloudPoint};
-use panoscope_node::device::{Device, DeviceImage, given_up};
+use panoscope_node::device::{Device, given_up};
 use panoscope_node::{
-    AnyImage, Bgr8, Confidence, Context, Depth, Disparity, Gray8, Image, Node, NodeInfo, Open, Parallel, Params,
-    PointCloud, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
+    AnyImage, Confidence, Context, Depth, Disparity, Image, Node, NodeInfo, Open, Parallel, Params, PointCloud, Ports,
+    Result, Slot, Validation, Value, View, ViewMut, error,
 };
 
 use panoscope_data::calibration::packet as calibration;
 
+use crate::colours::Colours;
 use crate::gpu::reproject::GpuReprojector;
 
 /// Inputs.
@@ -70,35 +71,6 @@ impl ReprojectNodeParams {
             min_confidence: self.min_confidence,
             surface_step_px: self.surface_step_px,
             min_neighbours: self.min_neighbours,
-        }
-    }
-}
-
-/// The left view, in one of the formats that are taken.
-enum Colours<'f> {
-    Bgr(Image<'f, Bgr8>),
-    Gray(Image<'f, Gray8>),
-}
-
-impl<'f> Colours<'f> {
-    fn of(image: &AnyImage<'f>) -> Result<Self> {
-        let gray = || Some(Self::Gray(image.as_plane()?));
-        let known = image.as_plane().map(Self::Bgr).or_else(gray);
-        known.ok_or_else(|| error!("input `image` must be gray8 or bgr8"))
-    }
-
-    fn view(&self) -> View<'f, u8> {
-        match self {
-            Self::Bgr(image) => image.view(),
-            Self::Gray(image) => image.view(),
-        }
-    }
-
-    /// The image on the GPU, and its channels.
-    fn on_device(&self) -> Result<(DeviceImage, usize)> {
-        match self {
-            Self::Bgr(image) => Ok((image.on_device()?, 3)),
-            Self::Gray(image) => Ok((image.on_device()?, 1)),
         }
     }
 }

@@ -176,6 +176,115 @@ fn smoothed_maps_hardly_depend_on_the_device() -> TestResult {
     Ok(())
 }
 
+/// Inputs of a filter besides the picture and the map.
+#[derive(Clone, Copy, Default)]
+struct Given {
+    right: bool,
+    confidence: bool,
+    mask: bool,
+}
+
+/// Map and confidence of a slope with noise, a bar that is as narrow as its edges, and unknown pixels all around.
+fn smoothed(node: &mut Harness<DisparityWls>, given: Given) -> Result<[Vec<f32>; 2], HarnessError> {
+    let (left, _) = pair(|_, _| 40.0, 0.0);
+    let surface = |x: usize, y: usize| {
+        if (200..211).contains(&x) && (30..100).contains(&y) { 60.0 } else { 30.0 + x as f32 / 40.0 }
+    };
+    let disparity = |i: usize| {
+        let (x, y) = (i % SIZE.0, i / SIZE.0);
+        match (x * 7 + y * 13) % 61 {
+            0 => f32::NAN,
+            _ if x < 40 || !(10..120).contains(&y) => f32::NAN,
+            _ => surface(x, y) + (i % 5) as f32 / 40.0,
+        }
+    };
+    let map: Vec<f32> = (0..SIZE.0 * SIZE.1).map(disparity).collect();
+    // The right view has the nearest of the left view's disparities that land on a pixel.
+    let mut right = vec![f32::NAN; SIZE.0 * SIZE.1];
+    for (i, d) in map.iter().enumerate().filter(|(_, d)| d.is_finite()) {
+        let to = (i % SIZE.0) as f32 - d + 0.5;
+        if to >= 0.0 {
+            let to = &mut right[i / SIZE.0 * SIZE.0 + to as usize];
+            *to = to.max(*d);
+        }
+    }
+    node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &bgr(&left));
+    node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map);
+    if given.right {
+        node.input_image::<Disparity>("disparity_right", SIZE.0, SIZE.1, &right);
+    }
+    if given.confidence {
+        let trust: Vec<f32> = (0..SIZE.0 * SIZE.1).map(|i| (i % 9) as f32 / 6.0).collect();
+        node.input_image::<Confidence>("confidence", SIZE.0, SIZE.1, &trust);
+    }
+    if given.mask {
+        let inside = |i: usize| ((i % SIZE.0) as f32 - 170.0).hypot((i / SIZE.0) as f32 - 64.0) < 70.0;
+        let mask: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| u8::from(inside(i))).collect();
+        node.input_image::<Mask>("mask", SIZE.0, SIZE.1, &mask);
+    }
+    let out = node.process()?;
+    Ok([out.plane::<Disparity>("disparity")?.data.to_vec(), out.plane::<Confidence>("confidence")?.data.to_vec()])
+}
+
+/// Whether maps agree to 0.01 px, and confidences to 0.001; support right at its limit may fall on either side.
+fn is_close([map, trust]: &[Vec<f32>; 2], [other, other_trust]: &[Vec<f32>; 2]) -> bool {
+    let known_once = map.iter().zip(other).filter(|(a, b)| a.is_nan() != b.is_nan()).count();
+    let off = map.iter().zip(other).map(|(a, b)| (a - b).abs()).filter(|off| off.is_finite()).fold(0.0, f32::max);
+    let trust_off = trust.iter().zip(other_trust).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    println!("{known_once} pixels are known on one side, {off} px, confidence {trust_off}");
+    known_once <= 3 && off <= 0.01 && trust_off < 1e-3
+}
+
+#[test]
+fn maps_are_filtered_on_the_device_with_all_inputs() -> TestResult {
+    let _alone = alone();
+    let given = |right, confidence, mask| Given { right, confidence, mask };
+    for (given, params) in [
+        (given(true, false, false), "scatter_radius_px = 3"),
+        (given(true, false, true), "beyond_mask_px = 16, dark_level = 90, highlight_level = 180"),
+        (given(false, true, true), "min_support = 0.0"),
+        (given(true, true, false), "lambda = 100.0"),
+        (given(false, false, false), "scatter_radius_px = 0, left_right_px = 0.5"),
+    ] {
+        lend_device(table());
+        let [cpu, gpu] = ["cpu", "gpu"].map(|device| {
+            let mut node =
+                Harness::<DisparityWls>::from_toml(&format!("params = {{ {params}, device = \"{device}\" }}"))?;
+            smoothed(&mut node, given)?;
+            smoothed(&mut node, given)
+        });
+        let (cpu, gpu) = (cpu?, gpu?);
+        assert!(is_close(&gpu, &cpu), "{params}");
+        assert!(cpu[0].iter().filter(|d| d.is_finite()).count() > 2000);
+        if params.starts_with("scatter_radius_px = 3") {
+            assert!(cpu[0][64 * SIZE.0 + 205] > 55.0, "the bar keeps its disparity: {}", cpu[0][64 * SIZE.0 + 205]);
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn the_processor_filters_what_a_device_fails_to() -> TestResult {
+    let _alone = alone();
+    let given = Given { right: true, confidence: false, mask: true };
+    let mut expected = Default::default();
+    for after in [usize::MAX, 0, 3, 5, 6, 7, 8, 9, 10] {
+        let Some(device) = failing(after) else { return Ok(()) };
+        lend_device(Some(device));
+        let name = if after == usize::MAX { "cpu" } else { "gpu" };
+        let mut node = Harness::<DisparityWls>::from_toml(&format!("params = {{ device = \"{name}\" }}"))?;
+        let made = smoothed(&mut node, given)?;
+        if after == usize::MAX {
+            expected = made;
+            continue;
+        }
+        let same = made.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| a.to_bits() == b.to_bits());
+        assert!(same, "after {after}");
+        assert_eq!(node.logs().iter().filter(|line| line.level == Level::Warn).count(), 1, "{:?}", node.logs());
+    }
+    Ok(())
+}
+
 /// Depths and words of the points of a slope with holes and steps, of all calls; `None` for the map that is not read.
 fn reprojected(node: &mut Harness<Reproject>, gray: bool) -> Result<Vec<Vec<f32>>, HarnessError> {
     let (left, _) = pair(|_, _| 40.0, 0.0);

@@ -5,3 +5,4 @@ pub mod pair;
 pub mod rectify;
 pub mod reproject;
 pub mod wls;
+pub mod wls_filter;

@@ -20,7 +20,7 @@ mod filter_input;
 pub mod formats;
 mod grid_solver;
 mod guide_weights;
-mod kept_regions;
+pub mod kept_regions;
 pub mod length;
 pub mod lens;
 mod lit_pair;
