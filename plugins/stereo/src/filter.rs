@@ -6,7 +6,7 @@ use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams, WlsSolver,
 };
 use panoscope_imaging::{Rect, Report};
-use panoscope_node::device::{Device, given_up};
+use panoscope_node::device::{Device, given_up, is_done};
 use panoscope_node::{
     AnyImage, Confidence, Context, Disparity, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot,
     Validation, View, ViewMut, error,
@@ -297,8 +297,8 @@ impl DisparityWls {
         (input, guide): (&In<'_>, &Colours<'_>),
         out: &mut Out<'_>,
         trust: &TrustParams,
-    ) -> bool {
-        let Some(gpu) = &mut self.gpu else { return false };
+    ) -> Result<bool> {
+        let Some(gpu) = &mut self.gpu else { return Ok(false) };
         let (width, height) = (input.disparity.width(), input.disparity.height());
         let beyond_px = trust.beyond_px(width);
         if let Some(mask) = &input.mask {
@@ -327,12 +327,11 @@ impl DisparityWls {
             gpu.compute(&images, self.kernel.params())
         };
         let made = make();
-        if let Err(error) = &made {
-            cx.warn(&given_up(error));
-            self.gpu = None;
+        let is_made = is_done(made, &mut self.gpu, cx)?;
+        if !is_made {
             self.kernel.set_solver(None);
         }
-        made.is_ok()
+        Ok(is_made)
     }
 }
 
@@ -376,7 +375,7 @@ impl Node for DisparityWls {
             self.kernel.set_params(wanted)?;
         }
         self.choose(params.device, cx);
-        if factor == 1 && self.filter_there(cx, (&input, &guide(&input)?), &mut out, &params.trust) {
+        if factor == 1 && self.filter_there(cx, (&input, &guide(&input)?), &mut out, &params.trust)? {
             return Ok(());
         }
         let (kernel, coarse) = (&mut self.kernel, &mut self.coarse);

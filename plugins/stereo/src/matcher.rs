@@ -137,7 +137,7 @@ pub trait PairKernel: StereoKernel {
     /// Matches a pair where its frames are, as [`PairMatcher::compute`]. Returns whether it did.
     ///
     /// # Errors
-    /// Those of the kernel.
+    /// There is no frame memory for an output.
     fn match_there(
         &mut self,
         _: &mut PairMatcher,
@@ -146,7 +146,7 @@ pub trait PairKernel: StereoKernel {
         _: &mut Out<'_>,
         _: Rect,
         _: &PairParams,
-    ) -> Result<bool, StereoError> {
+    ) -> Result<bool> {
         Ok(false)
     }
 }

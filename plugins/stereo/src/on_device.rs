@@ -4,8 +4,8 @@ use panoscope_imaging::stereo::{
     BlockMatcher, BlockMatchingParams, PairMatcher, PairParams, StereoError, StereoKernel, Tile, project_right,
 };
 use panoscope_imaging::{Parallel, Rect, Report, View, ViewMut};
-use panoscope_node::Context;
-use panoscope_node::device::{Device, given_up};
+use panoscope_node::device::{Device, given_up, is_done};
+use panoscope_node::{Context, Result};
 
 use crate::gpu::pair::{GpuPairMatcher, ViewsThere};
 use crate::matcher::{In, Out};
@@ -47,7 +47,7 @@ impl DeviceMatcher {
     /// processor is to match it.
     ///
     /// # Errors
-    /// A parameter is out of range.
+    /// There is no frame memory for an output.
     pub fn match_there(
         &mut self,
         pair: &mut PairMatcher,
@@ -56,29 +56,23 @@ impl DeviceMatcher {
         out: &mut Out<'_>,
         roi: Rect,
         params: &PairParams,
-    ) -> Result<bool, StereoError> {
+    ) -> Result<bool> {
         let Some(gpu) = &mut self.gpu else { return Ok(false) };
-        let failed = |error: panoscope_node::NodeError| StereoError::Device { reason: error.to_string() };
         let (width, height) = (input.left.width(), input.left.height());
         let mut make = || {
-            let images = [input.left.on_device().map_err(failed)?, input.right.on_device().map_err(failed)?];
-            let left = out.disparity.alloc_on_device(width, height).map_err(failed)?;
+            let images = [input.left.on_device()?, input.right.on_device()?];
+            let left = out.disparity.alloc_on_device(width, height)?;
             let right = out.disparity_right.is_read().then(|| out.disparity_right.alloc_on_device(width, height));
-            let right = right.transpose().map_err(failed)?;
             let views = ViewsThere { images, fetch: &|| [input.left.view(), input.right.view()] };
-            gpu.compute(pair, cx, views, roi, (self.processor.params(), params), cx.pool(), left, right)
+            let params = (self.processor.params(), params);
+            Ok(gpu.compute(pair, cx, views, roi, params, cx.pool(), left, right.transpose()?)?)
         };
-        match make() {
-            Err(StereoError::Device { reason }) => {
-                (self.gpu, self.fault) = (None, Some(reason));
-                Ok(false)
-            }
-            made => made.map(|()| true),
-        }
+        let made = make();
+        is_done(made, &mut self.gpu, cx)
     }
 
     /// Whether the GPU did its work; one that failed is given up.
-    fn is_done(&mut self, worked: panoscope_node::Result<()>) -> bool {
+    fn has_worked(&mut self, worked: Result<()>) -> bool {
         if let Err(error) = &worked {
             self.gpu = None;
             self.fault = Some(error.to_string());
@@ -110,7 +104,7 @@ impl StereoKernel for DeviceMatcher {
             params.validate()?;
             let worked =
                 gpu.blocks.compute(&params, views[0], views[1], roi, &mut disparity, disparity_right.as_mut(), pool);
-            if self.is_done(worked) {
+            if self.has_worked(worked) {
                 return Ok(());
             }
         }
@@ -129,7 +123,7 @@ impl StereoKernel for DeviceMatcher {
         if let Some(gpu) = &mut self.gpu {
             let worked =
                 gpu.blocks.compute_tiles(self.processor.params(), views[0], views[1], tiles, &mut disparity, pool);
-            if self.is_done(worked) {
+            if self.has_worked(worked) {
                 project_right(&mut disparity, &mut disparity_right, left_right_px, pool);
                 return Ok(());
             }

@@ -6,7 +6,7 @@ use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_imaging::{Rect, View, ViewMut};
 use panoscope_node::abi::{Calibration, Camera};
-use panoscope_node::device::{Device, given_up};
+use panoscope_node::device::{Device, is_done};
 use panoscope_node::{
     Bgr8, Choice, Context, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Retained, Slot, Validation, Value,
     error,
@@ -249,8 +249,8 @@ fn make_masks(
 }
 
 /// Shrinks and turns both views on the GPU, where they stay. Whether it did; a GPU that fails is given up.
-fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> bool {
-    let Some(rectifier) = &mut maps.rectifier else { return false };
+fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> Result<bool> {
+    let Some(rectifier) = &mut maps.rectifier else { return Ok(false) };
     let size = (maps.target.left.width as usize, maps.target.left.height as usize);
     let slots = [(&input.left, &mut out.left), (&input.right, &mut out.right)];
     let mut jobs = [None, None];
@@ -260,12 +260,8 @@ fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<
         }
         Ok(())
     });
-    if let Err(error) = made.and_then(|()| rectifier.run(jobs)) {
-        cx.warn(&given_up(&error));
-        maps.rectifier = None;
-        return false;
-    }
-    true
+    let made = made.and_then(|()| rectifier.run(jobs));
+    is_done(made, &mut maps.rectifier, cx)
 }
 
 /// Hands a view on, shrunk and turned by the map, if there is one.
@@ -429,7 +425,7 @@ impl Node for Rectify {
             PairState::Late => {}
             PairState::Exchanged => return Ok(()),
         }
-        let is_on_gpu = make_on_gpu(maps, &input, &mut out, cx);
+        let is_on_gpu = make_on_gpu(maps, &input, &mut out, cx)?;
         let [left, right] = match &maps.tables {
             Some([left, right]) => [Some(left), Some(right)],
             None => [None, None],

@@ -3,7 +3,7 @@
 use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams, SmallHoles};
 use panoscope_imaging::{Rect, Report, SharedMut};
 use panoscope_node::abi::{Calibration, CloudPoint};
-use panoscope_node::device::{Device, given_up};
+use panoscope_node::device::{Device, is_done};
 use panoscope_node::{
     AnyImage, Confidence, Context, Depth, Disparity, Image, Node, NodeInfo, Open, Parallel, Params, PointCloud, Ports,
     Result, Slot, Validation, Value, View, ViewMut, error,
@@ -100,8 +100,8 @@ impl Reproject {
         (input, colours): (&In<'_>, &Colours<'_>),
         out: &mut Out<'_>,
         params: &ReprojectNodeParams,
-    ) -> bool {
-        let (Some(gpu), Some((_, views))) = (&mut self.gpu, &self.views) else { return false };
+    ) -> Result<bool> {
+        let (Some(gpu), Some((_, views))) = (&mut self.gpu, &self.views) else { return Ok(false) };
         let (width, height) = (views.width, views.height);
         let share = |count: usize| count as f64 / (width * height) as f64;
         let mut make = || -> Result<()> {
@@ -124,11 +124,7 @@ impl Reproject {
             gpu.cloud(depth, colours.on_device()?, filled, views, cloud)
         };
         let made = make();
-        if let Err(error) = &made {
-            cx.warn(&given_up(error));
-            self.gpu = None;
-        }
-        made.is_ok()
+        is_done(made, &mut self.gpu, cx)
     }
 }
 
@@ -217,7 +213,7 @@ impl Node for Reproject {
             return Err(error!("`disparity` is {width}x{height}, `confidence` is {}x{}", map.width(), map.height()));
         }
         let colours = Colours::of(&input.image)?;
-        if self.make_there(cx, (&input, &colours), &mut out, params) {
+        if self.make_there(cx, (&input, &colours), &mut out, params)? {
             return Ok(());
         }
         let Some((_, views)) = &self.views else { return Ok(()) };

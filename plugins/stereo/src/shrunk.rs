@@ -177,7 +177,7 @@ impl PairKernel for Shrunk {
         out: &mut Out<'_>,
         roi: Rect,
         params: &PairParams,
-    ) -> Result<bool, StereoError> {
+    ) -> panoscope_node::Result<bool> {
         // Views are shrunk in the host's memory.
         if self.factor > 1 { Ok(false) } else { self.kernel.match_there(pair, cx, input, out, roi, params) }
     }
