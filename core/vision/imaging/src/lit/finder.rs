@@ -98,18 +98,19 @@ fn level(view: &View<'_, u8>, x: usize, y: usize) -> u32 {
     view.data[at..at + view.channels].iter().copied().max().map_or(0, u32::from)
 }
 
-/// Walks a line of `length` pixels from its start on to the first run of `run` pixels of at least `lit`.
+/// Walks a line of `length` pixels from its start on to the first run of `run` pixels of at least `lit`. Looks at the last
+/// pixel of a run first: a dark one excludes all runs across it, so that a rim is crossed in steps of `run`.
 fn walk(length: usize, run: usize, reach: usize, lit: u32, level: impl Fn(usize) -> u32) -> End {
-    let mut count = 0;
-    for i in 0..length {
-        count = if level(i) >= lit { count + 1 } else { 0 };
-        if count == run {
-            let at = i + 1 - run;
-            let mean = |from: usize, to: usize| (from..to).map(&level).sum::<u32>() / (to - from).max(1) as u32;
-            let inside = mean(at + 1, (at + 1 + reach).min(length));
-            let outside = mean(at.saturating_sub(reach + 2), at.saturating_sub(2));
-            return End { at: at as u32, is_sharp: at > 2 && inside >= outside + STEP_LEVELS };
+    let mut at = 0;
+    while at + run <= length {
+        if let Some(dark) = (at..at + run).rev().find(|i| level(*i) < lit) {
+            at = dark + 1;
+            continue;
         }
+        let mean = |from: usize, to: usize| (from..to).map(&level).sum::<u32>() / (to - from).max(1) as u32;
+        let inside = mean(at + 1, (at + 1 + reach).min(length));
+        let outside = mean(at.saturating_sub(reach + 2), at.saturating_sub(2));
+        return End { at: at as u32, is_sharp: at > 2 && inside >= outside + STEP_LEVELS };
     }
     UNKNOWN
 }
