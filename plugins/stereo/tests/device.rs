@@ -9,7 +9,7 @@ use crate::gpu::support::table;
 use crate::lit::round_pair;
 use panoscope_node::abi::{self, Calibration, CloudPoint, Device, DeviceStep, Status};
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup, lend_device};
-use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8, Mask};
+use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8, Mask, View};
 use panoscope_stereo::{DisparityWls, Rectify, Reproject, StereoBm};
 
 type TestResult = Result<(), HarnessError>;
@@ -176,6 +176,20 @@ fn smoothed_maps_hardly_depend_on_the_device() -> TestResult {
     Ok(())
 }
 
+/// A size whose columns are no whole groups of four.
+const ODD: (usize, usize) = (317, 125);
+
+/// A gray view of that size.
+fn odd_view() -> Vec<u8> {
+    let (left, _) = pair(|_, _| 40.0, 0.0);
+    left.chunks_exact(SIZE.0).take(ODD.1).flat_map(|row| row[..ODD.0].iter().copied()).collect()
+}
+
+/// A map without the padding of its rows.
+fn values(map: View<'_, f32>) -> Vec<f32> {
+    (0..map.height).flat_map(|y| map.row(y).iter().copied()).collect()
+}
+
 /// Inputs of a filter besides the picture and the map.
 #[derive(Clone, Copy, Default)]
 struct Given {
@@ -186,44 +200,44 @@ struct Given {
 
 /// Map and confidence of a slope with noise, a bar that is as narrow as its edges, and unknown pixels all around.
 fn smoothed(node: &mut Harness<DisparityWls>, given: Given) -> Result<[Vec<f32>; 2], HarnessError> {
-    let (left, _) = pair(|_, _| 40.0, 0.0);
+    let left = odd_view();
     let surface = |x: usize, y: usize| {
         if (200..211).contains(&x) && (30..100).contains(&y) { 60.0 } else { 30.0 + x as f32 / 40.0 }
     };
     let disparity = |i: usize| {
-        let (x, y) = (i % SIZE.0, i / SIZE.0);
+        let (x, y) = (i % ODD.0, i / ODD.0);
         match (x * 7 + y * 13) % 61 {
             0 => f32::NAN,
             _ if x < 40 || !(10..120).contains(&y) => f32::NAN,
             _ => surface(x, y) + (i % 5) as f32 / 40.0,
         }
     };
-    let map: Vec<f32> = (0..SIZE.0 * SIZE.1).map(disparity).collect();
+    let map: Vec<f32> = (0..ODD.0 * ODD.1).map(disparity).collect();
     // The right view has the nearest of the left view's disparities that land on a pixel.
-    let mut right = vec![f32::NAN; SIZE.0 * SIZE.1];
+    let mut right = vec![f32::NAN; ODD.0 * ODD.1];
     for (i, d) in map.iter().enumerate().filter(|(_, d)| d.is_finite()) {
-        let to = (i % SIZE.0) as f32 - d + 0.5;
+        let to = (i % ODD.0) as f32 - d + 0.5;
         if to >= 0.0 {
-            let to = &mut right[i / SIZE.0 * SIZE.0 + to as usize];
+            let to = &mut right[i / ODD.0 * ODD.0 + to as usize];
             *to = to.max(*d);
         }
     }
-    node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &bgr(&left));
-    node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map);
+    node.input_image::<Bgr8>("image", ODD.0, ODD.1, &bgr(&left));
+    node.input_image::<Disparity>("disparity", ODD.0, ODD.1, &map);
     if given.right {
-        node.input_image::<Disparity>("disparity_right", SIZE.0, SIZE.1, &right);
+        node.input_image::<Disparity>("disparity_right", ODD.0, ODD.1, &right);
     }
     if given.confidence {
-        let trust: Vec<f32> = (0..SIZE.0 * SIZE.1).map(|i| (i % 9) as f32 / 6.0).collect();
-        node.input_image::<Confidence>("confidence", SIZE.0, SIZE.1, &trust);
+        let trust: Vec<f32> = (0..ODD.0 * ODD.1).map(|i| (i % 9) as f32 / 6.0).collect();
+        node.input_image::<Confidence>("confidence", ODD.0, ODD.1, &trust);
     }
     if given.mask {
-        let inside = |i: usize| ((i % SIZE.0) as f32 - 170.0).hypot((i / SIZE.0) as f32 - 64.0) < 70.0;
-        let mask: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| u8::from(inside(i))).collect();
-        node.input_image::<Mask>("mask", SIZE.0, SIZE.1, &mask);
+        let inside = |i: usize| ((i % ODD.0) as f32 - 170.0).hypot((i / ODD.0) as f32 - 64.0) < 70.0;
+        let mask: Vec<u8> = (0..ODD.0 * ODD.1).map(|i| u8::from(inside(i))).collect();
+        node.input_image::<Mask>("mask", ODD.0, ODD.1, &mask);
     }
     let out = node.process()?;
-    Ok([out.plane::<Disparity>("disparity")?.data.to_vec(), out.plane::<Confidence>("confidence")?.data.to_vec()])
+    Ok([values(out.plane::<Disparity>("disparity")?), values(out.plane::<Confidence>("confidence")?)])
 }
 
 /// Whether maps agree to 0.01 px, and confidences to 0.001; support right at its limit may fall on either side.
@@ -257,7 +271,7 @@ fn maps_are_filtered_on_the_device_with_all_inputs() -> TestResult {
         assert!(is_close(&gpu, &cpu), "{params}");
         assert!(cpu[0].iter().filter(|d| d.is_finite()).count() > 2000);
         if params.starts_with("scatter_radius_px = 3") {
-            assert!(cpu[0][64 * SIZE.0 + 205] > 55.0, "the bar keeps its disparity: {}", cpu[0][64 * SIZE.0 + 205]);
+            assert!(cpu[0][64 * ODD.0 + 205] > 55.0, "the bar keeps its disparity: {}", cpu[0][64 * ODD.0 + 205]);
         }
     }
     Ok(())
@@ -287,29 +301,33 @@ fn the_processor_filters_what_a_device_fails_to() -> TestResult {
 
 /// Depths and words of the points of a slope with holes and steps, of all calls; `None` for the map that is not read.
 fn reprojected(node: &mut Harness<Reproject>, gray: bool) -> Result<Vec<Vec<f32>>, HarnessError> {
-    let (left, _) = pair(|_, _| 40.0, 0.0);
+    let left = odd_view();
+    let mut cameras = rectified(300.0, 15.0);
+    for camera in [&mut cameras.left, &mut cameras.right] {
+        (camera.width, camera.height) = (ODD.0 as u32, ODD.1 as u32);
+    }
     let mut made = Vec::new();
     for call in 0..2 {
-        let disparity = |i: usize| match (i % SIZE.0 / 3 + i / SIZE.0 * 5 + call) % 37 {
+        let disparity = |i: usize| match (i % ODD.0 / 3 + i / ODD.0 * 5 + call) % 37 {
             0 => f32::NAN,
             1 => 3.0,
-            _ => 30.0 + (i % SIZE.0) as f32 / 20.0 + if i % SIZE.0 > 150 { 12.0 } else { 0.0 },
+            _ => 30.0 + (i % ODD.0) as f32 / 20.0 + if i % ODD.0 > 150 { 12.0 } else { 0.0 },
         };
-        let map: Vec<f32> = (0..SIZE.0 * SIZE.1).map(disparity).collect();
-        let trust: Vec<f32> = (0..SIZE.0 * SIZE.1).map(|i| (i % 41) as f32 / 40.0).collect();
+        let map: Vec<f32> = (0..ODD.0 * ODD.1).map(disparity).collect();
+        let trust: Vec<f32> = (0..ODD.0 * ODD.1).map(|i| (i % 41) as f32 / 40.0).collect();
         match gray {
-            true => node.input_image::<Gray8>("image", SIZE.0, SIZE.1, &left),
-            false => node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &bgr(&left)),
+            true => node.input_image::<Gray8>("image", ODD.0, ODD.1, &left),
+            false => node.input_image::<Bgr8>("image", ODD.0, ODD.1, &bgr(&left)),
         };
-        node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map);
+        node.input_image::<Disparity>("disparity", ODD.0, ODD.1, &map);
         if call == 1 {
-            node.input_image::<Confidence>("confidence", SIZE.0, SIZE.1, &trust);
+            node.input_image::<Confidence>("confidence", ODD.0, ODD.1, &trust);
         }
-        let out = node.input_value("calibration", rectified(300.0, 15.0)).process()?;
+        let out = node.input_value("calibration", cameras).process()?;
         let point =
             |p: &CloudPoint| [p.x_mm, p.y_mm, p.z_mm, f32::from(p.filled), f32::from(p.bgr[0]) + f32::from(p.bgr[2])];
         made.push(out.cloud("cloud")?.iter().flat_map(point).collect());
-        made.push(out.plane::<Depth>("depth")?.data.to_vec());
+        made.push(values(out.plane::<Depth>("depth")?));
     }
     Ok(made)
 }
