@@ -52,7 +52,7 @@ mode = "batch"
 plugins = ["phantom", "stereo"]
 [nodes.scope]
 type = "phantom"
-params = { width = 322, height = 241, zoom = 0.45, distortion_k1 = -0.05 }
+params = { width = 322, height = 241, zoom = 0.45, distortion_k1 = 0.1 }
 [nodes.views]
 type = "rectify"
 inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
@@ -158,10 +158,20 @@ fn depth_at_full_size_stays_on_the_gpu() {
     assert!(cpu.nodes.values().all(|node| node.copies == 0));
     // Both views reach the GPU and the depth leaves it; the matcher reads gray views when it measures their rows.
     let rows = 2 * FRAMES.div_ceil(8);
-    let expected = [("views", 2 * FRAMES), ("match", rows), ("smooth", 0), ("points", 0), ("length", FRAMES)];
-    for (node, copies) in expected {
-        assert_eq!(gpu.nodes[node].copies, copies, "{node}");
-    }
+    let check = |report: &Report, points: u64| {
+        // The mask of what the left camera covers is made once.
+        let expected = [("views", 2 * FRAMES), ("match", rows), ("smooth", 1), ("points", points), ("length", FRAMES)];
+        for (node, copies) in expected {
+            assert_eq!(report.nodes[node].copies, copies, "{node}");
+        }
+    };
+    check(&gpu, 0);
+    // A cloud whose holes are filled makes the processor read the depth, another one does not.
+    let cloud = DEPTH.replace("DEVICE", "gpu").replace("depth = \"points.depth\"", "cloud = \"points.cloud\"");
+    check(&plain(&folder, &cloud), FRAMES);
+    let open = cloud.replace("\"gpu\" }\n[nodes.length]", "\"gpu\", max_hole = 0.0 }\n[nodes.length]");
+    assert_ne!(open, cloud);
+    check(&plain(&folder, &open), 0);
     let _ = std::fs::remove_dir_all(&folder);
 }
 
