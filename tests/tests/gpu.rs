@@ -46,6 +46,35 @@ type = "drain"
 inputs = { image = "wide.panorama" }
 "#;
 
+/// Depth at full size, which the processor reads alone.
+const DEPTH: &str = r#"
+mode = "batch"
+plugins = ["phantom", "stereo"]
+[nodes.scope]
+type = "phantom"
+params = { width = 322, height = 241, zoom = 0.45, distortion_k1 = 0.1 }
+[nodes.views]
+type = "rectify"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+params = { device = "DEVICE" }
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "views.left", right = "views.right", mask_left = { from = "views.mask_left", optional = true }, mask_right = { from = "views.mask_right", optional = true } }
+params = { device = "DEVICE" }
+[nodes.smooth]
+type = "disparity_wls"
+inputs = { image = "views.left", disparity = "match.disparity", disparity_right = "match.disparity_right", mask = { from = "views.mask_left", optional = true } }
+params = { device = "DEVICE" }
+[nodes.points]
+type = "reproject"
+inputs = { image = "views.left", disparity = "smooth.disparity", calibration = "views.calibration" }
+params = { device = "DEVICE" }
+[nodes.length]
+type = "measure"
+inputs = { depth = "points.depth", calibration = "views.calibration" }
+params = { points = [120, 100, 200, 140] }
+"#;
+
 fn graph(device: &str) -> String {
     GRAPH.replace("DEVICE", device)
 }
@@ -144,10 +173,10 @@ fn frames_are_copied_only_where_the_other_side_reads() {
     assert_eq!(copies(&gpu, "views"), 2 * FRAMES, "both views reach the GPU once");
     assert_eq!(copies(&gpu, "passes"), 0, "a frame that is handed on stays where it is");
     let all = |report: &Report| report.nodes.values().map(|node| node.copies).sum::<u64>();
-    // Both gray views come back once each; the panorama is drawn where the views are.
+    // The disparity map comes back once, however many nodes read it; views and panorama do not.
     assert_eq!(
         all(&gpu) - all(&cpu),
-        4 * FRAMES,
+        3 * FRAMES,
         "{:?}",
         gpu.nodes.iter().map(|(id, n)| (id, n.copies)).collect::<Vec<_>>()
     );
@@ -179,26 +208,60 @@ fn panoramas_of_views_on_the_gpu_are_made_there() {
 }
 
 #[test]
+fn depth_at_full_size_stays_on_the_gpu() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-depth");
+    let [cpu, gpu] = ["cpu", "gpu"].map(|device| plain(&folder, &DEPTH.replace("DEVICE", device)));
+    assert!(cpu.nodes.values().all(|node| node.copies == 0));
+    // Both views reach the GPU and the depth leaves it; the matcher reads gray views when it measures their rows.
+    let rows = 2 * FRAMES.div_ceil(8);
+    let check = |report: &Report, points: u64| {
+        // The mask of what the left camera covers is made once.
+        let expected = [("views", 2 * FRAMES), ("match", rows), ("smooth", 1), ("points", points), ("length", FRAMES)];
+        for (node, copies) in expected {
+            assert_eq!(report.nodes[node].copies, copies, "{node}");
+        }
+    };
+    check(&gpu, 0);
+    // A cloud whose holes are filled makes the processor read the depth, another one does not.
+    let cloud = DEPTH.replace("DEVICE", "gpu").replace("depth = \"points.depth\"", "cloud = \"points.cloud\"");
+    check(&plain(&folder, &cloud), FRAMES);
+    let open = cloud.replace("\"gpu\" }\n[nodes.length]", "\"gpu\", max_hole = 0.0 }\n[nodes.length]");
+    assert_ne!(open, cloud);
+    check(&plain(&folder, &open), 0);
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
 fn a_device_can_be_changed_while_the_graph_runs() {
     if !has_device() {
         return;
     }
     let folder = scratch("gpu-live");
-    let cpu = disturbed(&folder, &graph("cpu"));
-    let mut turn = 0;
-    let options = Options { frames: Some(FRAMES), ..Options::default() };
-    let changed = run_disturbed(&folder, &graph("cpu"), options, |engine| {
-        turn += 1;
-        let device = ["cpu", "gpu"][turn % 2];
-        for node in ["views", "match", "wide"] {
-            engine
-                .set_param(node, "device", ParamValue::Choice { index: turn % 2, name: device.into() })
-                .expect("a parameter");
+    for (text, nodes) in [(GRAPH, &["views", "match", "wide"][..]), (DEPTH, &["views", "match", "smooth", "points"])] {
+        let text = text.replace("DEVICE", "cpu");
+        let cpu = disturbed(&folder, &text);
+        let mut turn = 0;
+        let options = Options { frames: Some(FRAMES), ..Options::default() };
+        let changed = run_disturbed(&folder, &text, options, |engine| {
+            turn += 1;
+            let device = ["cpu", "gpu"][turn % 2];
+            for node in nodes {
+                engine
+                    .set_param(node, "device", ParamValue::Choice { index: turn % 2, name: device.into() })
+                    .expect("a parameter");
+            }
+        });
+        assert!(changed.faults.is_empty() && turn > 0, "{:?}", changed.faults);
+        for port in cpu.packets.keys() {
+            assert_eq!(changed.port(port).len(), cpu.port(port).len(), "{port}");
         }
-    });
-    assert!(changed.faults.is_empty() && turn > 0, "{:?}", changed.faults);
-    for port in SAME {
-        assert_eq!(changed.port(port), cpu.port(port), "{port}");
+        let masks = ["views.mask_left", "views.mask_right"];
+        for port in SAME.iter().chain(&masks).filter(|port| cpu.packets.contains_key(**port)) {
+            assert_eq!(changed.port(port), cpu.port(port), "{port}");
+        }
     }
     let _ = std::fs::remove_dir_all(&folder);
 }

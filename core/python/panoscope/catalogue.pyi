@@ -1204,7 +1204,7 @@ class NodeTypes:
         dark_level: Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all. (-1 to 255; default 4)
         beyond_mask_px: Fills the map so far beyond the mask, where the picture is not black, at a width of 640 px. `rectify` ends its masks 5 px inside of the rim, and the surface goes on there. (0 to 16 px; default 0)
         scale: Factor by which maps and picture are shrunk before they are filtered, for maps that were matched so: as good at a fraction of the time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560. (0 to 8; default 1)
-        device: What solves the filter's systems, with the same map to 0.01 px. A GPU pays when large maps are not shrunk. Without one the processor does it, with a warning. (default "cpu")"""
+        device: What filters, with the same map to 0.01 px. A GPU pays when large maps are not shrunk: they stay there. Of shrunk ones it solves the systems. Without one the processor does it, with a warning. (default "cpu")"""
 
     def disparity_wls_opencv(
         self,
@@ -2281,6 +2281,7 @@ class NodeTypes:
         surface_step_px: Number = ...,
         min_neighbours: Whole = ...,
         max_hole: Number = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Reproject:
@@ -2295,7 +2296,8 @@ class NodeTypes:
         min_confidence: Confidence below which a pixel is dropped, where a confidence map is connected. (0 to 1 ratio; default 0.05)
         surface_step_px: Largest step of disparity between neighbours of one surface. (0.01 to 64 px; default 1)
         min_neighbours: Smallest number of the eight neighbours on the same surface: removes flying pixels; 0 keeps all. (0 to 8; default 5)
-        max_hole: Largest hole of a surface that is filled in the cloud, as a share of all pixels; 0 fills none. `depth` has what was measured only. (0 to 0.05 ratio; default 0.0015)"""
+        max_hole: Largest hole of a surface that is filled in the cloud, as a share of all pixels; 0 fills none. `depth` has what was measured only. (0 to 0.05 ratio; default 0.0015)
+        device: What computes depth and points, with the same values to the last bits. A GPU pays when its maps and its cloud stay there; the processor reads the depth where it looks for small holes of the cloud. Without a GPU it does it all, with a warning. (default "cpu")"""
 
     def ros2_bag(
         self,

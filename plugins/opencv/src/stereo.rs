@@ -207,7 +207,7 @@ impl Node for StereoOpencv {
             search_px: params.search_px.max(0) as usize,
             drift_px: 0.0,
         };
-        let offset_px = self.search.begin(cx, [left, right], &place, cx.pool())?;
+        let offset_px = self.search.begin(cx, &mut [left, right], &place, cx.pool())?;
         let search = Search {
             method: params.method,
             min_disparity_px: offset_px,
@@ -241,7 +241,7 @@ impl Node for StereoOpencv {
         if self.search.is_swapped() {
             disparity.data.fill(f32::NAN);
         }
-        self.search.end(cx, [left, right], disparity.as_view(), true, &place);
+        self.search.end(cx, &mut [left, right], &mut disparity.as_view(), true, &place)?;
         if let Some(map) = map_right {
             let mut disparity_right = out.disparity_right.alloc(width, height)?;
             write(&map, -1.0, least, &mut disparity_right)?;

@@ -1,20 +1,21 @@
 //! `disparity_wls` and `disparity_fbs`: smooth, edge-true disparity maps (thesis, fig. 3.7).
 
 use std::ops::Range;
-use std::sync::PoisonError;
 
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams, WlsSolver,
 };
 use panoscope_imaging::{Rect, Report};
-use panoscope_node::device::{Device, given_up};
+use panoscope_node::device::{Device, given_up, is_done};
 use panoscope_node::{
-    AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result,
-    Slot, Validation, View, ViewMut, error,
+    AnyImage, Confidence, Context, Disparity, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot,
+    Validation, View, ViewMut, error,
 };
 
 use crate::coarse::{Coarse, Job, factor};
-use crate::gpu::wls::{GpuWlsSolver, Guide};
+use crate::colours::Colours;
+use crate::gpu::wls::GpuWlsSolver;
+use crate::gpu::wls_filter::{GpuWlsFilter, WlsImages};
 use crate::matcher::check_kernel;
 
 /// Inputs of both filters.
@@ -67,19 +68,11 @@ fn known(disparity: View<'_, f32>) -> Rect {
         .clamped(disparity.width, disparity.height)
 }
 
-/// The inputs as the kernels take them, sizes checked.
-fn filter_input<'f>(input: &In<'f>) -> Result<FilterInput<'f>> {
-    let guide = if let Some(image) = input.image.as_plane::<Bgr8>() {
-        image.view()
-    } else if let Some(image) = input.image.as_plane::<Gray8>() {
-        image.view()
-    } else {
-        return Err(error!("input `image` must be gray8 or bgr8"));
-    };
-    let disparity = input.disparity.view();
-    let size = (disparity.width, disparity.height);
+/// The picture; sizes of all inputs are checked.
+fn guide<'f>(input: &In<'f>) -> Result<Colours<'f>> {
+    let size = (input.disparity.width(), input.disparity.height());
     let others = [
-        ("image", Some((guide.width, guide.height))),
+        ("image", Some((input.image.width(), input.image.height()))),
         ("disparity_right", input.disparity_right.as_ref().map(|map| (map.width(), map.height()))),
         ("confidence", input.confidence.as_ref().map(|map| (map.width(), map.height()))),
         ("mask", input.mask.as_ref().map(|map| (map.width(), map.height()))),
@@ -89,6 +82,12 @@ fn filter_input<'f>(input: &In<'f>) -> Result<FilterInput<'f>> {
             return Err(error!("`disparity` is {}x{}, `{name}` is {}x{}", size.0, size.1, other.0, other.1));
         }
     }
+    Colours::of(&input.image)
+}
+
+/// The inputs as the kernels take them, sizes checked.
+fn filter_input<'f>(input: &In<'f>) -> Result<FilterInput<'f>> {
+    let (guide, disparity) = (guide(input)?.view(), input.disparity.view());
     Ok(FilterInput {
         guide,
         disparity,
@@ -120,6 +119,11 @@ struct TrustParams {
 }
 
 impl TrustParams {
+    /// Width of the strip beyond the mask in maps of a width, px.
+    fn beyond_px(&self, width: usize) -> usize {
+        (self.beyond_mask_px * width).div_ceil(640)
+    }
+
     /// Levels of 256 and -1 become none.
     fn kernel(&self) -> ConfidenceParams {
         ConfidenceParams {
@@ -147,8 +151,8 @@ fn filter<'f>(
     let mut confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
     run(Job { given, disparity: again(&mut disparity), confidence: confidence.as_mut().map(again) })?;
     if let Some(mask) = &input.mask {
-        let beyond_px = (trust.beyond_mask_px * width).div_ceil(640);
-        let beyond = Beyond { guide: given.guide, mask: mask.view(), dark_level: trust.dark_level, px: beyond_px };
+        let px = trust.beyond_px(width);
+        let beyond = Beyond { guide: given.guide, mask: mask.view(), dark_level: trust.dark_level, px };
         beyond.clear(lit, &mut disparity, f32::NAN);
         if let Some(confidence) = &mut confidence {
             beyond.clear(lit, confidence, 0.0);
@@ -171,21 +175,31 @@ struct Beyond<'f> {
     px: usize,
 }
 
+/// The columns of a mask in each row, from the first to the last.
+fn find_lit(mask: View<'_, u8>, lit: &mut Vec<Range<usize>>) {
+    lit.clear();
+    lit.extend((0..mask.height).map(|y| {
+        let row = mask.row(y);
+        let first = row.iter().position(|mask| *mask != 0).unwrap_or(row.len());
+        first..row.iter().rposition(|mask| *mask != 0).map_or(first, |last| last + 1)
+    }));
+}
+
+/// Columns of a row, of a map of a width, that are near a mask with these columns.
+fn strip(lit: &[Range<usize>], y: usize, px: usize, width: usize) -> Range<usize> {
+    let near = &lit[y.saturating_sub(px)..(y + px + 1).min(lit.len())];
+    let near = near.iter().filter(|row| !row.is_empty());
+    let (start, end) = near.fold((width, 0), |(start, end), row| (start.min(row.start), end.max(row.end)));
+    start.saturating_sub(px)..(end + px).min(width)
+}
+
 impl Beyond<'_> {
     /// Sets the rest of `map` to `value`. `lit` is reused.
     fn clear(&self, lit: &mut Vec<Range<usize>>, map: &mut ViewMut<'_, f32>, value: f32) {
-        lit.clear();
-        lit.extend((0..map.height).map(|y| {
-            let row = self.mask.row(y);
-            let first = row.iter().position(|mask| *mask != 0).unwrap_or(row.len());
-            first..row.iter().rposition(|mask| *mask != 0).map_or(first, |last| last + 1)
-        }));
+        find_lit(self.mask, lit);
         let channels = self.guide.channels;
         for y in 0..map.height {
-            let near = &lit[y.saturating_sub(self.px)..(y + self.px + 1).min(map.height)];
-            let near = near.iter().filter(|row| !row.is_empty());
-            let (start, end) = near.fold((map.width, 0), |(start, end), row| (start.min(row.start), end.max(row.end)));
-            let strip = start.saturating_sub(self.px)..(end + self.px).min(map.width);
+            let strip = strip(lit, y, self.px, map.width);
             let (mask, guide) = (self.mask.row(y), self.guide.row(y));
             let is_filled = |x: usize| {
                 let is_near = self.px > 0 && strip.contains(&x) && !lit[y].contains(&x);
@@ -221,7 +235,8 @@ pub struct DisparityWlsParams {
     /// time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560.
     #[param(default = 1, range = 0..=8)]
     scale: usize,
-    /// What solves the filter's systems, with the same map to 0.01 px. A GPU pays when large maps are not shrunk. Without one the processor does it, with a warning.
+    /// What filters, with the same map to 0.01 px. A GPU pays when large maps are not shrunk: they stay there. Of shrunk ones it solves the systems.
+    /// Without one the processor does it, with a warning.
     #[param(default = "cpu")]
     device: Device,
 }
@@ -254,11 +269,13 @@ impl DisparityWlsParams {
 pub struct DisparityWls {
     kernel: WlsFilter,
     device: Device,
-    /// The guide for a solver on the GPU.
-    guide: Guide,
+    /// Filters maps that are not shrunk on the GPU.
+    gpu: Option<GpuWlsFilter>,
     coarse: Coarse,
     /// Columns of the mask in each row.
     lit: Vec<Range<usize>>,
+    /// Columns that may be filled, and those of the mask, in each row.
+    rows: Vec<[u32; 4]>,
 }
 
 impl DisparityWls {
@@ -266,20 +283,55 @@ impl DisparityWls {
     fn choose(&mut self, device: Device, report: &dyn Report) {
         if device != self.device {
             self.device = device;
-            let solver = device.open(report, |gpu| GpuWlsSolver::new(gpu, self.guide.clone()));
+            let opened = device.open(report, |gpu| Ok((GpuWlsSolver::new(gpu)?, GpuWlsFilter::new(gpu)?)));
+            let (solver, filter) = opened.unzip();
             self.kernel.set_solver(solver.map(|solver| Box::new(solver) as Box<dyn WlsSolver>));
+            self.gpu = filter;
         }
     }
 
-    /// Gives the picture to a solver on the GPU. One that does not get there is copied by the solver.
-    fn give_guide(&self, image: &AnyImage<'_>, factor: usize) {
-        if self.kernel.has_solver() {
-            let there = || match image.as_plane::<Bgr8>() {
-                Some(image) => image.on_device().ok(),
-                None => image.as_plane::<Gray8>()?.on_device().ok(),
-            };
-            *self.guide.lock().unwrap_or_else(PoisonError::into_inner) = if factor == 1 { there() } else { None };
+    /// Filters a map that is not shrunk on the GPU, where it stays. Whether it did; a GPU that fails is given up.
+    fn filter_there(
+        &mut self,
+        cx: &Context<'_>,
+        (input, guide): (&In<'_>, &Colours<'_>),
+        out: &mut Out<'_>,
+        trust: &TrustParams,
+    ) -> Result<bool> {
+        let Some(gpu) = &mut self.gpu else { return Ok(false) };
+        let (width, height) = (input.disparity.width(), input.disparity.height());
+        let beyond_px = trust.beyond_px(width);
+        if let Some(mask) = &input.mask {
+            find_lit(mask.view(), &mut self.lit);
+            self.rows.clear();
+            self.rows.extend(self.lit.iter().enumerate().map(|(y, lit)| {
+                let strip = strip(&self.lit, y, beyond_px, width);
+                [strip.start, strip.end, lit.start, lit.end].map(|x| x as u32)
+            }));
         }
+        let mut make = || -> Result<()> {
+            let mask = input.mask.as_ref().map(Image::on_device).transpose()?;
+            let images = WlsImages {
+                guide: guide.on_device()?,
+                disparity: input.disparity.on_device()?,
+                right: input.disparity_right.as_ref().map(Image::on_device).transpose()?,
+                given: input.confidence.as_ref().map(Image::on_device).transpose()?,
+                mask: mask.map(|mask| (mask, &self.rows[..])),
+                beyond_px,
+                smooth: out.disparity.alloc_on_device(width, height)?,
+                confidence: match out.confidence.is_read() {
+                    true => out.confidence.alloc_on_device(width, height)?,
+                    false => gpu.spare(width, height)?,
+                },
+            };
+            gpu.compute(&images, self.kernel.params())
+        };
+        let made = make();
+        let is_made = is_done(made, &mut self.gpu, cx)?;
+        if !is_made {
+            self.kernel.set_solver(None);
+        }
+        Ok(is_made)
     }
 }
 
@@ -301,9 +353,10 @@ impl Node for DisparityWls {
         let mut node = Self {
             kernel: WlsFilter::new(params.kernel(1))?,
             device: Device::Cpu,
-            guide: Guide::default(),
+            gpu: None,
             coarse: Coarse::default(),
             lit: Vec::new(),
+            rows: Vec::new(),
         };
         node.choose(params.device, open);
         Ok(node)
@@ -322,7 +375,9 @@ impl Node for DisparityWls {
             self.kernel.set_params(wanted)?;
         }
         self.choose(params.device, cx);
-        self.give_guide(&input.image, factor);
+        if factor == 1 && self.filter_there(cx, (&input, &guide(&input)?), &mut out, &params.trust)? {
+            return Ok(());
+        }
         let (kernel, coarse) = (&mut self.kernel, &mut self.coarse);
         filter(&input, &mut out, &params.trust, &mut self.lit, |job| {
             coarse.run(factor, job, cx.pool(), |job| {

@@ -1,6 +1,7 @@
 //! Rectification, disparity, depth and measurement (thesis, chapter 3); maps and clouds beside the truth.
 
 mod coarse;
+mod colours;
 mod evaluate;
 mod filter;
 pub mod gpu;

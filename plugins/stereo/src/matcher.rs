@@ -2,7 +2,7 @@
 
 use panoscope_imaging::Rect;
 use panoscope_imaging::lit::HeldMask;
-use panoscope_imaging::stereo::{PairMatcher, PairParams, SearchParams, StereoError, StereoKernel};
+use panoscope_imaging::stereo::{PairMatcher, PairParams, SearchParams, SemiGlobalMatcher, StereoError, StereoKernel};
 use panoscope_node::abi;
 use panoscope_node::{Context, Disparity, Gray8, Image, Mask, Params, Ports, Result, Slot, Validation, Value, error};
 
@@ -27,9 +27,9 @@ pub struct In<'f> {
 #[derive(Ports)]
 pub struct Out<'f> {
     /// Disparity of the left rectified view, px, positive; NaN where unmatched.
-    disparity: Slot<'f, Disparity>,
+    pub disparity: Slot<'f, Disparity>,
     /// Disparity of the right rectified view, px: `x_left = x_right + disparity`; NaN where unmatched.
-    disparity_right: Slot<'f, Disparity>,
+    pub disparity_right: Slot<'f, Disparity>,
     /// 1 while matched points lie farther off their rows than `drift_px`: the calibration does not fit the views. Else 0.
     drifted: Slot<'f, abi::Scalar>,
 }
@@ -132,8 +132,29 @@ impl Matcher {
     }
 }
 
+/// A kernel that can match a pair without its frames in the host's memory.
+pub trait PairKernel: StereoKernel {
+    /// Matches a pair where its frames are, as [`PairMatcher::compute`]. Returns whether it did.
+    ///
+    /// # Errors
+    /// There is no frame memory for an output.
+    fn match_there(
+        &mut self,
+        _: &mut PairMatcher,
+        _: &Context<'_>,
+        _: &In<'_>,
+        _: &mut Out<'_>,
+        _: Rect,
+        _: &PairParams,
+    ) -> Result<bool> {
+        Ok(false)
+    }
+}
+
+impl PairKernel for SemiGlobalMatcher {}
+
 /// One tick of a node: matches the views in `roi` with the parameters that `kernel` has, its range apart. Pixels within `rim_px` of a rim stay unknown.
-pub fn process<'f, K: StereoKernel>(
+pub fn process<'f, K: PairKernel>(
     matcher: &mut Matcher,
     kernel: &mut K,
     cx: &Context<'f>,
@@ -144,20 +165,22 @@ pub fn process<'f, K: StereoKernel>(
     if window.rectified_only && input.calibration.is_none() {
         return Ok(());
     }
-    let (left, right) = (input.left.view(), input.right.view());
-    let (width, height) = (left.width, left.height);
-    if (right.width, right.height) != (width, height) {
+    let (width, height) = (input.left.width(), input.left.height());
+    let (width_right, height_right) = (input.right.width(), input.right.height());
+    if (width_right, height_right) != (width, height) {
         return Err(error!(
-            "the left view is {width}x{height}, the right one {}x{}: a rectified pair has one size",
-            right.width, right.height
+            "the left view is {width}x{height}, the right one {width_right}x{height_right}: a rectified pair has one size"
         ));
     }
     matcher.take_masks(input, (width, height), rim_px)?;
     let roi = input.roi.as_ref().map_or(Rect::whole(width, height), |roi| inside(roi, width, height));
-    let disparity = out.disparity.alloc(width, height)?;
-    let other = if out.disparity_right.is_read() { Some(out.disparity_right.alloc(width, height)?) } else { None };
     let params = window.pair(left_right_px);
-    matcher.pair.compute(cx, kernel, [left, right], roi, &params, cx.pool(), disparity, other)?;
+    if !kernel.match_there(&mut matcher.pair, cx, input, out, roi, &params)? {
+        let views = [input.left.view(), input.right.view()];
+        let disparity = out.disparity.alloc(width, height)?;
+        let other = if out.disparity_right.is_read() { Some(out.disparity_right.alloc(width, height)?) } else { None };
+        matcher.pair.compute(cx, kernel, views, roi, &params, cx.pool(), disparity, other)?;
+    }
     if out.drifted.is_read() {
         out.drifted.set_scalar("drifted", f64::from(u8::from(matcher.pair.is_drifted())), "")?;
     }

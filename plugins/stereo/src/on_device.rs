@@ -1,15 +1,19 @@
 //! Block matching on the processor or on the GPU, which find the same disparities.
 
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, StereoError, StereoKernel, Tile, project_right};
+use panoscope_imaging::stereo::{
+    BlockMatcher, BlockMatchingParams, PairMatcher, PairParams, StereoError, StereoKernel, Tile, project_right,
+};
 use panoscope_imaging::{Parallel, Rect, Report, View, ViewMut};
-use panoscope_node::device::{Device, DeviceImage, given_up};
+use panoscope_node::device::{Device, given_up, is_done};
+use panoscope_node::{Context, Result};
 
-use crate::gpu::block_matching::GpuBlockMatcher;
+use crate::gpu::pair::{GpuPairMatcher, ViewsThere};
+use crate::matcher::{In, Out};
 
 /// A block matcher that works on the device of its choice.
 pub struct DeviceMatcher {
     processor: BlockMatcher,
-    gpu: Option<GpuBlockMatcher>,
+    gpu: Option<GpuPairMatcher>,
     device: Device,
     fault: Option<String>,
 }
@@ -35,20 +39,40 @@ impl DeviceMatcher {
     pub fn choose(&mut self, device: Device, report: &dyn Report) {
         if device != self.device {
             self.device = device;
-            self.gpu = device.open(report, GpuBlockMatcher::new);
+            self.gpu = device.open(report, GpuPairMatcher::new);
         }
     }
 
-    /// Gives the GPU, if it matches, the views of the next call as they are there: `views` is asked for them. `None` when
-    /// it is to take them from the host's memory.
-    pub fn set_views(&mut self, views: impl FnOnce() -> panoscope_node::Result<Option<[DeviceImage; 2]>>) {
-        let Some(gpu) = &mut self.gpu else { return };
-        let given = views().map(|views| gpu.set_views(views));
-        self.is_done(given);
+    /// Matches a pair whose views and maps stay on the GPU. Whether it did: without a GPU, or with one that fails, the
+    /// processor is to match it.
+    ///
+    /// # Errors
+    /// There is no frame memory for an output.
+    pub fn match_there(
+        &mut self,
+        pair: &mut PairMatcher,
+        cx: &Context<'_>,
+        input: &In<'_>,
+        out: &mut Out<'_>,
+        roi: Rect,
+        params: &PairParams,
+    ) -> Result<bool> {
+        let Some(gpu) = &mut self.gpu else { return Ok(false) };
+        let (width, height) = (input.left.width(), input.left.height());
+        let mut make = || {
+            let images = [input.left.on_device()?, input.right.on_device()?];
+            let left = out.disparity.alloc_on_device(width, height)?;
+            let right = out.disparity_right.is_read().then(|| out.disparity_right.alloc_on_device(width, height));
+            let views = ViewsThere { images, fetch: &|| [input.left.view(), input.right.view()] };
+            let params = (self.processor.params(), params);
+            Ok(gpu.compute(pair, cx, views, roi, params, cx.pool(), left, right.transpose()?)?)
+        };
+        let made = make();
+        is_done(made, &mut self.gpu, cx)
     }
 
     /// Whether the GPU did its work; one that failed is given up.
-    fn is_done(&mut self, worked: panoscope_node::Result<()>) -> bool {
+    fn has_worked(&mut self, worked: Result<()>) -> bool {
         if let Err(error) = &worked {
             self.gpu = None;
             self.fault = Some(error.to_string());
@@ -78,8 +102,9 @@ impl StereoKernel for DeviceMatcher {
             let (min_disparity_px, search_px) = range;
             let params = BlockMatchingParams { min_disparity_px, search_px, ..self.processor.params().clone() };
             params.validate()?;
-            let worked = gpu.compute(&params, views[0], views[1], roi, &mut disparity, disparity_right.as_mut(), pool);
-            if self.is_done(worked) {
+            let worked =
+                gpu.blocks.compute(&params, views[0], views[1], roi, &mut disparity, disparity_right.as_mut(), pool);
+            if self.has_worked(worked) {
                 return Ok(());
             }
         }
@@ -96,8 +121,9 @@ impl StereoKernel for DeviceMatcher {
         mut disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError> {
         if let Some(gpu) = &mut self.gpu {
-            let worked = gpu.compute_tiles(self.processor.params(), views[0], views[1], tiles, &mut disparity, pool);
-            if self.is_done(worked) {
+            let worked =
+                gpu.blocks.compute_tiles(self.processor.params(), views[0], views[1], tiles, &mut disparity, pool);
+            if self.has_worked(worked) {
                 project_right(&mut disparity, &mut disparity_right, left_right_px, pool);
                 return Ok(());
             }

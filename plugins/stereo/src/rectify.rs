@@ -6,7 +6,7 @@ use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_imaging::{Rect, View, ViewMut};
 use panoscope_node::abi::{Calibration, Camera};
-use panoscope_node::device::{Device, given_up};
+use panoscope_node::device::{Device, is_done};
 use panoscope_node::{
     Bgr8, Choice, Context, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Retained, Slot, Validation, Value,
     error,
@@ -148,6 +148,37 @@ impl Maps {
     }
 }
 
+/// A rectified view that is on the GPU alone, of which few pixels are made from the camera's view: the same values.
+struct Unfetched<'a> {
+    view: View<'a, u8>,
+    factor: usize,
+    map: Option<&'a RemapTable>,
+}
+
+impl Unfetched<'_> {
+    /// A pixel of the shrunk view.
+    fn shrunk(&self, x: usize, y: usize) -> [u8; 3] {
+        let area = (self.factor * self.factor) as u32;
+        let mut sums = [area / 2; 3];
+        for y in y * self.factor..(y + 1) * self.factor {
+            let pixels = &self.view.row(y)[3 * x * self.factor..3 * (x + 1) * self.factor];
+            for pixel in pixels.as_chunks::<3>().0 {
+                sums.iter_mut().zip(pixel).for_each(|(sum, value)| *sum += u32::from(*value));
+            }
+        }
+        sums.map(|sum| (sum / area) as u8)
+    }
+
+    /// The brightest channel of a pixel.
+    fn level(&self, x: usize, y: usize) -> u32 {
+        let [b, g, r] = match self.map {
+            Some(map) => map.pixel(x, y, |x, y| self.shrunk(x, y)),
+            None => self.shrunk(x, y),
+        };
+        u32::from(b.max(g).max(r))
+    }
+}
+
 /// Finds what of a view is lit, and keeps the mask of it.
 #[derive(Default)]
 struct MaskMaker {
@@ -157,10 +188,12 @@ struct MaskMaker {
 }
 
 impl MaskMaker {
-    /// Hands the mask of a view on, which is `handed` on too; none while all of it is lit.
+    /// Hands the mask of a view on, which is `handed` on too; none while all of it is lit. A view that is on the GPU stays
+    /// there.
     fn make(
         &mut self,
         handed: &Slot<'_, Bgr8>,
+        unfetched: Option<Unfetched<'_>>,
         out: &mut Slot<'_, Mask>,
         valid: Option<&LitPart>,
         find_rim: bool,
@@ -170,10 +203,13 @@ impl MaskMaker {
         }
         // A view that is not read is not made.
         let Some(made) = handed.retain() else { return Ok(()) };
-        let (width, height) = (made.view().width, made.view().height);
+        let [width, height] = [made.frame().width, made.frame().height].map(|n| n as usize);
         let mut is_new = self.part.size() != (width, height);
         if find_rim {
-            is_new |= self.finder.look(made.view(), valid);
+            is_new |= match unfetched {
+                Some(view) => self.finder.look_at((width, height), |x, y| view.level(x, y), valid),
+                None => self.finder.look(made.view(), valid),
+            };
         } else {
             self.finder.forget();
             is_new |= valid.map_or(!self.part.is_whole(), |valid| self.part != *valid);
@@ -202,18 +238,19 @@ impl MaskMaker {
 fn make_masks(
     makers: &mut [MaskMaker; 2],
     out: &mut Out<'_>,
+    [unfetched_left, unfetched_right]: [Option<Unfetched<'_>>; 2],
     valid: Option<&[LitPart; 2]>,
     params: &RectifyNodeParams,
 ) -> Result<()> {
     let [left, right] = makers;
     let [valid_left, valid_right] = valid.map_or([None, None], |[left, right]| [Some(left), Some(right)]);
-    left.make(&out.left, &mut out.mask_left, valid_left, params.find_rim)?;
-    right.make(&out.right, &mut out.mask_right, valid_right, params.find_rim)
+    left.make(&out.left, unfetched_left, &mut out.mask_left, valid_left, params.find_rim)?;
+    right.make(&out.right, unfetched_right, &mut out.mask_right, valid_right, params.find_rim)
 }
 
 /// Shrinks and turns both views on the GPU, where they stay. Whether it did; a GPU that fails is given up.
-fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> bool {
-    let Some(rectifier) = &mut maps.rectifier else { return false };
+fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> Result<bool> {
+    let Some(rectifier) = &mut maps.rectifier else { return Ok(false) };
     let size = (maps.target.left.width as usize, maps.target.left.height as usize);
     let slots = [(&input.left, &mut out.left), (&input.right, &mut out.right)];
     let mut jobs = [None, None];
@@ -223,12 +260,8 @@ fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<
         }
         Ok(())
     });
-    if let Err(error) = made.and_then(|()| rectifier.run(jobs)) {
-        cx.warn(&given_up(&error));
-        maps.rectifier = None;
-        return false;
-    }
-    true
+    let made = made.and_then(|()| rectifier.run(jobs));
+    is_done(made, &mut maps.rectifier, cx)
 }
 
 /// Hands a view on, shrunk and turned by the map, if there is one.
@@ -280,7 +313,7 @@ impl Rectify {
     ) -> Result<()> {
         make(&input.left, &mut out.left, (factor, None), &mut self.small, cx)?;
         make(&input.right, &mut out.right, (factor, None), &mut self.small, cx)?;
-        make_masks(&mut self.masks, out, None, params)
+        make_masks(&mut self.masks, out, [None, None], None, params)
     }
 
     /// Makes new maps where the calibration, the factor or the device has changed.
@@ -392,14 +425,18 @@ impl Node for Rectify {
             PairState::Late => {}
             PairState::Exchanged => return Ok(()),
         }
-        if !make_on_gpu(maps, &input, &mut out, cx) {
-            let [left, right] = match &maps.tables {
-                Some([left, right]) => [Some(left), Some(right)],
-                None => [None, None],
-            };
+        let is_on_gpu = make_on_gpu(maps, &input, &mut out, cx)?;
+        let [left, right] = match &maps.tables {
+            Some([left, right]) => [Some(left), Some(right)],
+            None => [None, None],
+        };
+        let mut unfetched = [None, None];
+        if is_on_gpu {
+            unfetched = [(views[0], left), (views[1], right)].map(|(view, map)| Some(Unfetched { view, factor, map }));
+        } else {
             make(&input.left, &mut out.left, (factor, left), &mut self.small, cx)?;
             make(&input.right, &mut out.right, (factor, right), &mut self.small, cx)?;
         }
-        make_masks(&mut self.masks, &mut out, maps.valid.as_ref(), params)
+        make_masks(&mut self.masks, &mut out, unfetched, maps.valid.as_ref(), params)
     }
 }

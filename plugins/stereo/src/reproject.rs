@@ -1,14 +1,18 @@
 //! `reproject`: disparity to depth and coloured points in mm (thesis, fig. 3.9).
 
 use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams, SmallHoles};
-use panoscope_imaging::{Rect, SharedMut};
+use panoscope_imaging::{Rect, Report, SharedMut};
 use panoscope_node::abi::{Calibration, CloudPoint};
+use panoscope_node::device::{Device, is_done};
 use panoscope_node::{
-    AnyImage, Bgr8, Confidence, Context, Depth, Disparity, Gray8, Image, Node, NodeInfo, Open, Parallel, Params,
-    PointCloud, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
+    AnyImage, Confidence, Context, Depth, Disparity, Image, Node, NodeInfo, Open, Parallel, Params, PointCloud, Ports,
+    Result, Slot, Validation, Value, View, ViewMut, error,
 };
 
 use panoscope_data::calibration::packet as calibration;
+
+use crate::colours::Colours;
+use crate::gpu::reproject::GpuReprojector;
 
 /// Inputs.
 #[derive(Ports)]
@@ -53,6 +57,22 @@ pub struct ReprojectNodeParams {
     /// Largest hole of a surface that is filled in the cloud, as a share of all pixels; 0 fills none. `depth` has what was measured only.
     #[param(default = 0.0015, range = 0.0..=0.05, step = 0.0005, unit = "ratio")]
     max_hole: f32,
+    /// What computes depth and points, with the same values to the last bits. A GPU pays when its maps and its cloud stay there; the processor reads
+    /// the depth where it looks for small holes of the cloud. Without a GPU it does it all, with a warning.
+    #[param(default = "cpu")]
+    device: Device,
+}
+
+impl ReprojectNodeParams {
+    fn kernel(&self) -> ReprojectParams {
+        ReprojectParams {
+            near_mm: self.near_mm,
+            far_mm: self.far_mm,
+            min_confidence: self.min_confidence,
+            surface_step_px: self.surface_step_px,
+            min_neighbours: self.min_neighbours,
+        }
+    }
 }
 
 /// See the module.
@@ -60,6 +80,52 @@ pub struct Reproject {
     views: Option<(Calibration, Rectification)>,
     depth: Vec<f32>,
     holes: SmallHoles,
+    gpu: Option<GpuReprojector>,
+    device: Device,
+}
+
+impl Reproject {
+    /// Chooses the device.
+    fn choose(&mut self, device: Device, report: &dyn Report) {
+        if device != self.device {
+            self.device = device;
+            self.gpu = device.open(report, GpuReprojector::new);
+        }
+    }
+
+    /// Makes what is read on the GPU, where it stays. Whether it did; a GPU that fails is given up.
+    fn make_there(
+        &mut self,
+        cx: &Context<'_>,
+        (input, colours): (&In<'_>, &Colours<'_>),
+        out: &mut Out<'_>,
+        params: &ReprojectNodeParams,
+    ) -> Result<bool> {
+        let (Some(gpu), Some((_, views))) = (&mut self.gpu, &self.views) else { return Ok(false) };
+        let (width, height) = (views.width, views.height);
+        let share = |count: usize| count as f64 / (width * height) as f64;
+        let mut make = || -> Result<()> {
+            let disparity = input.disparity.on_device()?;
+            let confidence = input.confidence.as_ref().map(Image::on_device).transpose()?;
+            let depth = out.depth.alloc_on_device(width, height)?;
+            cx.metric("known_share", share(gpu.depth(disparity, confidence, views, &params.kernel(), depth)?));
+            if !out.cloud.is_read() {
+                return Ok(());
+            }
+            // The processor reads the depth once: for the holes, and for those who read it there.
+            let made = out.depth.retain().filter(|_| params.max_hole > 0.0);
+            let (focal_px, baseline_mm) = (views.left.focal_px as f32, views.baseline_mm as f32);
+            let filled = match &made {
+                Some(depth) => self.holes.find(depth.view(), focal_px, baseline_mm, params.max_hole),
+                None => &[],
+            };
+            cx.metric("filled_share", share(filled.len()));
+            let cloud = out.cloud.alloc_cloud_on_device(width, height)?;
+            gpu.cloud(depth, colours.on_device()?, filled, views, cloud)
+        };
+        let made = make();
+        is_done(made, &mut self.gpu, cx)
+    }
 }
 
 /// Points and colours of one picture. `filled` has index and depth of what is filled in.
@@ -110,8 +176,11 @@ impl Node for Reproject {
         }
     }
 
-    fn open(_: &Open<'_>, _: &ReprojectNodeParams) -> Result<Self> {
-        Ok(Self { views: None, depth: Vec::new(), holes: SmallHoles::default() })
+    fn open(open: &Open<'_>, params: &ReprojectNodeParams) -> Result<Self> {
+        let (views, depth, holes) = Default::default();
+        let mut node = Self { views, depth, holes, gpu: None, device: Device::Cpu };
+        node.choose(params.device, open);
+        Ok(node)
     }
 
     fn process<'f>(
@@ -125,9 +194,9 @@ impl Node for Reproject {
             self.views = None;
             self.views = Some((*input.calibration, calibration::of_rectified_views(&input.calibration)?));
         }
+        self.choose(params.device, cx);
         let Some((_, views)) = &self.views else { return Ok(()) };
-        let disparity = input.disparity.view();
-        let (width, height) = (disparity.width, disparity.height);
+        let (width, height) = (input.disparity.width(), input.disparity.height());
         if (width, height) != (views.width, views.height) {
             return Err(error!(
                 "the disparity map is {width}x{height}, the calibration was made for {}x{}",
@@ -138,24 +207,20 @@ impl Node for Reproject {
             let (w, h) = (input.image.width(), input.image.height());
             return Err(error!("`disparity` is {width}x{height}, `image` is {w}x{h}"));
         }
-        let image = if let Some(image) = input.image.as_plane::<Bgr8>() {
-            image.view()
-        } else if let Some(image) = input.image.as_plane::<Gray8>() {
-            image.view()
-        } else {
-            return Err(error!("input `image` must be gray8 or bgr8"));
-        };
+        if let Some(map) = &input.confidence
+            && (map.width(), map.height()) != (width, height)
+        {
+            return Err(error!("`disparity` is {width}x{height}, `confidence` is {}x{}", map.width(), map.height()));
+        }
+        let colours = Colours::of(&input.image)?;
+        if self.make_there(cx, (&input, &colours), &mut out, params)? {
+            return Ok(());
+        }
+        let Some((_, views)) = &self.views else { return Ok(()) };
         let given = ReprojectInput {
-            disparity,
+            disparity: input.disparity.view(),
             confidence: input.confidence.as_ref().map(Image::view),
             roi: Rect::whole(width, height),
-        };
-        let kernel = ReprojectParams {
-            near_mm: params.near_mm,
-            far_mm: params.far_mm,
-            min_confidence: params.min_confidence,
-            surface_step_px: params.surface_step_px,
-            min_neighbours: params.min_neighbours,
         };
         let (depth_is_read, cloud_is_read) = (out.depth.is_read(), out.cloud.is_read());
         let depth = if depth_is_read {
@@ -165,13 +230,13 @@ impl Node for Reproject {
             ViewMut::new(&mut self.depth, width, height, 1)
         };
         let map = ViewMut { data: &mut *depth.data, ..depth };
-        let known = stereo::reproject(given, views, &kernel, cx.pool(), map, None)?;
+        let known = stereo::reproject(given, views, &params.kernel(), cx.pool(), map, None)?;
         cx.metric("known_share", known as f64 / (width * height) as f64);
         if cloud_is_read {
             let (focal_px, baseline_mm) = (views.left.focal_px as f32, views.baseline_mm as f32);
             let filled = self.holes.find(depth.as_view(), focal_px, baseline_mm, params.max_hole);
             cx.metric("filled_share", filled.len() as f64 / (width * height) as f64);
-            fill(out.cloud.alloc_cloud(width, height)?, image, depth.as_view(), filled, views, cx.pool());
+            fill(out.cloud.alloc_cloud(width, height)?, colours.view(), depth.as_view(), filled, views, cx.pool());
         }
         Ok(())
     }

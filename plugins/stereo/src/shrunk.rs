@@ -4,9 +4,11 @@
 //! counts their pixels; each value stands for a block of pixels.
 
 use panoscope_imaging::features::{GrayBuffer, shrink_gray};
-use panoscope_imaging::stereo::{StereoError, StereoKernel, Tile};
+use panoscope_imaging::stereo::{PairMatcher, PairParams, StereoError, StereoKernel, Tile};
 use panoscope_imaging::{Parallel, Rect, SharedMut, View, ViewMut};
+use panoscope_node::Context;
 
+use crate::matcher::{In, Out, PairKernel};
 use crate::on_device::DeviceMatcher;
 
 /// Rows of a map per chunk.
@@ -163,6 +165,21 @@ impl StereoKernel for Shrunk {
         enlarge(map, (width, height), factor, pool, disparity);
         enlarge(map_right, (width, height), factor, pool, disparity_right);
         Ok(())
+    }
+}
+
+impl PairKernel for Shrunk {
+    fn match_there(
+        &mut self,
+        pair: &mut PairMatcher,
+        cx: &Context<'_>,
+        input: &In<'_>,
+        out: &mut Out<'_>,
+        roi: Rect,
+        params: &PairParams,
+    ) -> panoscope_node::Result<bool> {
+        // Views are shrunk in the host's memory.
+        if self.factor > 1 { Ok(false) } else { self.kernel.match_there(pair, cx, input, out, roi, params) }
     }
 }
 

@@ -94,10 +94,6 @@ impl Node for StereoBm {
         self.kernel.kernel.set_params(params.kernel(self.kernel.factor))?;
         self.kernel.kernel.choose(params.device, cx);
         let factor = self.kernel.factor;
-        self.kernel.kernel.set_views(|| {
-            let views = || Ok([input.left.on_device()?, input.right.on_device()?]);
-            if factor == 1 { views().map(Some) } else { Ok(None) }
-        });
         let rim_px = rim_px(params.kernel(factor).block_px) * factor;
         let search = (&params.search, params.left_right_px, rim_px);
         process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)?;

@@ -17,7 +17,7 @@ fn is_lit(x: usize, y: usize) -> bool {
 }
 
 /// A pair seen through a round scope: rims of 6 levels with noise, brighter just outside the edge, as light that leaks in is.
-fn round_pair() -> (Vec<u8>, Vec<u8>) {
+pub fn round_pair() -> (Vec<u8>, Vec<u8>) {
     let (mut left, mut right) = pair(|_, _| f64::from(SURFACE_PX), 0.0);
     for view in [&mut left, &mut right] {
         for (i, value) in view.iter_mut().enumerate() {

@@ -63,6 +63,22 @@ pub fn given_up(reason: &dyn std::fmt::Display) -> String {
     format!("the processor computes the images: {reason}")
 }
 
+/// Whether the GPU did its work. With one that failed the node continues without it, `gpu`, after a warning.
+///
+/// # Errors
+/// There was no frame memory for an output, which is not the GPU's fault.
+pub fn is_done<T>(worked: Result<()>, gpu: &mut Option<T>, report: &dyn Report) -> Result<bool> {
+    match worked {
+        Ok(()) => Ok(true),
+        Err(error) if error.is_exhausted() => Err(error),
+        Err(error) => {
+            *gpu = None;
+            report.warn(&given_up(&error));
+            Ok(false)
+        }
+    }
+}
+
 /// The GPU of the process.
 #[derive(Clone, Copy, Debug)]
 pub struct Gpu {

@@ -28,6 +28,11 @@ impl NodeError {
         self.status == crate::abi::STATUS_STOPPED
     }
 
+    /// Whether the host has no frame memory left for an output: the tick is dropped or made again, the node goes on.
+    pub fn is_exhausted(&self) -> bool {
+        self.status == crate::abi::STATUS_EXHAUSTED
+    }
+
     /// For sources: the source has ended before its data was complete. The host counts a fault and does not open the
     /// source again.
     pub fn ended_early(message: impl Into<String>) -> Self {

@@ -168,6 +168,28 @@ impl<'f, T> Slot<'f, T> {
         Ok(unsafe { std::slice::from_raw_parts_mut(frame.data, len) })
     }
 
+    fn allocate_on_device(&mut self, format: u32, width: usize, height: usize, stride: usize) -> Result<DeviceImage> {
+        let size = [width, height, stride].map(u32::try_from);
+        let ([Ok(columns), Ok(rows), Ok(stride_bytes)], Some(len)) = (size, stride.checked_mul(height)) else {
+            return Err(NodeError::new(format!("an output of {width}x{height} is too large")));
+        };
+        let mut buffer = 0;
+        // SAFETY: the host's call is valid for `'f`, and so is its function table.
+        let status = unsafe {
+            let call = self.call.raw();
+            let host = &*(*call).host;
+            let end = std::mem::offset_of!(abi::Host, alloc_on_device) + size_of::<usize>();
+            match host.alloc_on_device.filter(|_| has(host, end)) {
+                Some(alloc) => {
+                    alloc((*call).call, self.index, format, columns, rows, stride_bytes, len, &raw mut buffer)
+                }
+                None => abi::STATUS_INVALID,
+            }
+        };
+        outcome(status, len)?;
+        Ok(DeviceImage { buffer, width, height, stride_bytes: stride })
+    }
+
     fn allocate_plane<E: Plain>(
         &mut self,
         format: u32,
@@ -216,25 +238,7 @@ impl<P: Plane> Slot<'_, P> {
     /// they look.
     pub fn alloc_on_device(&mut self, width: usize, height: usize) -> Result<DeviceImage> {
         let stride = DeviceImage::stride_bytes(width, P::CHANNELS * size_of::<P::Element>());
-        let size = [width, height, stride].map(u32::try_from);
-        let ([Ok(columns), Ok(rows), Ok(stride_bytes)], Some(len)) = (size, stride.checked_mul(height)) else {
-            return Err(NodeError::new(format!("an output of {width}x{height} is too large")));
-        };
-        let mut buffer = 0;
-        // SAFETY: the host's call is valid for `'f`, and so is its function table.
-        let status = unsafe {
-            let call = self.call.raw();
-            let host = &*(*call).host;
-            let end = std::mem::offset_of!(abi::Host, alloc_on_device) + size_of::<usize>();
-            match host.alloc_on_device.filter(|_| has(host, end)) {
-                Some(alloc) => {
-                    alloc((*call).call, self.index, P::FORMAT, columns, rows, stride_bytes, len, &raw mut buffer)
-                }
-                None => abi::STATUS_INVALID,
-            }
-        };
-        outcome(status, len)?;
-        Ok(DeviceImage { buffer, width, height, stride_bytes: stride })
+        self.allocate_on_device(P::FORMAT, width, height, stride)
     }
 
     /// Hands on a retained frame as an output of this tick, so that its age counts from this tick.
@@ -311,5 +315,11 @@ impl Slot<'_, PointCloud> {
     /// Allocates the output: `width` x `height` points, contents unspecified.
     pub fn alloc_cloud(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, abi::CloudPoint>> {
         self.allocate_plane(abi::FORMAT_CLOUD, 1, width, height)
+    }
+
+    /// Makes the output on the GPU: `width` x `height` points of 16 bytes, rows without padding; see
+    /// [`Slot::alloc_on_device`].
+    pub fn alloc_cloud_on_device(&mut self, width: usize, height: usize) -> Result<DeviceImage> {
+        self.allocate_on_device(abi::FORMAT_CLOUD, width, height, width * size_of::<abi::CloudPoint>())
     }
 }

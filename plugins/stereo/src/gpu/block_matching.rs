@@ -17,7 +17,7 @@ use panoscope_node::{Result, error};
 const BLOCK: [usize; 2] = [64, 32];
 /// Words in front of the jobs of a call, of a job, and of the sizes of a view.
 const CALL_WORDS: usize = 8;
-const JOB_WORDS: usize = 12;
+const JOB_WORDS: usize = 13;
 const FILTER_WORDS: usize = 8;
 /// Additional columns of a row of a filtered view: three before, one after.
 const PLANE_MARGIN: usize = 4;
@@ -98,7 +98,8 @@ struct Job<'a> {
     others: &'a Range<usize>,
     /// Winners of the right view's pixels: offset, first column, number of columns.
     winners: [usize; 3],
-    output: usize,
+    /// Start of the result and its words from row to row.
+    output: [usize; 2],
 }
 
 /// Work of one call on the device.
@@ -112,6 +113,9 @@ struct Plan {
     jobs: Vec<i32>,
     /// Blocks of the left and the right view's jobs.
     blocks: [Vec<u32>; 2],
+    /// Values from row to row of the left and the right map that the results are written into; `None` where they are
+    /// packed, one after the other.
+    strides: [Option<usize>; 2],
     /// Parts of the left and the right map.
     parts: [Vec<Part>; 2],
     /// Words of all winners and of the result.
@@ -128,7 +132,7 @@ impl Plan {
         let winners = [self.winners, right_columns.start, right_columns.len()];
         if is_checked || has_right {
             self.winners += right_columns.len() * rows.len();
-            let output = if has_right { self.output(1, &right_columns, rows) } else { NOWHERE };
+            let output = if has_right { self.output(1, &right_columns, rows) } else { [NOWHERE, 0] };
             self.push(1, &Job { columns: &right_columns, rows, shift, lanes, others: competing, winners, output });
         }
         let output = self.output(0, columns, rows);
@@ -136,12 +140,15 @@ impl Plan {
         self.push(0, &Job { columns, rows, shift, lanes, others: &(0..self.width), winners, output });
     }
 
-    /// Reserves space for a part of a map; returns its offset.
-    fn output(&mut self, side: usize, columns: &Range<usize>, rows: &Range<usize>) -> usize {
+    /// Space for a part of a map: its offset and the values from row to row.
+    fn output(&mut self, side: usize, columns: &Range<usize>, rows: &Range<usize>) -> [usize; 2] {
+        if let Some(stride) = self.strides[side] {
+            return [rows.start * stride + columns.start, stride];
+        }
         let start = self.result;
         self.result += columns.len() * rows.len();
         self.parts[side].push(Part { columns: columns.clone(), rows: rows.clone(), start });
-        start
+        [start, columns.len()]
     }
 
     /// Adds a job of the left (0) or right (1) view, and its blocks.
@@ -152,7 +159,7 @@ impl Plan {
         self.jobs.push(job.shift as i32);
         self.jobs.extend(words(&[job.lanes, job.others.start, job.others.end]));
         self.jobs.extend(words(&job.winners));
-        self.jobs.extend(words(&[job.output]));
+        self.jobs.extend(words(&job.output));
         let matched = BLOCK[0] - 2 * self.radius;
         for y in 0..job.rows.len().div_ceil(BLOCK[1]) as u32 {
             for x in 0..job.columns.len().div_ceil(matched) as u32 {
@@ -188,8 +195,20 @@ pub struct GpuBlockMatcher {
     result: Store,
     /// The result in the host's memory.
     found: Vec<u8>,
-    /// Views of the next calls that are on the GPU already.
-    there: Option<[DeviceImage; 2]>,
+}
+
+/// Views that are matched.
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    Host([View<'a, u8>; 2]),
+    Device([DeviceImage; 2]),
+}
+
+/// Maps that are made: on the GPU, or packed results for the processor.
+#[derive(Clone, Copy)]
+enum Target {
+    Device([Option<DeviceImage>; 2]),
+    Packed { has_right: bool },
 }
 
 impl GpuBlockMatcher {
@@ -202,12 +221,7 @@ impl GpuBlockMatcher {
         let matching = |constant: &str| gpu.kernel("block matching", &[constant, include_str!("block_matching.wgsl")]);
         let matching = [matching("const IS_LEFT = true;\n")?, matching("const IS_LEFT = false;\n")?];
         let (sides, call, winners, result) = Default::default();
-        Ok(Self { gpu, filter, matching, sides, call, winners, result, found: Vec::new(), there: None })
-    }
-
-    /// Says that the gray views of the calls that follow are on the GPU already, left and right; `None` if not.
-    pub fn set_views(&mut self, views: Option<[DeviceImage; 2]>) {
-        self.there = views;
+        Ok(Self { gpu, filter, matching, sides, call, winners, result, found: Vec::new() })
     }
 
     /// Matches the pixels of `roi` of a rectified gray pair; see [`BlockMatcher::compute`], whose maps it fills.
@@ -229,14 +243,49 @@ impl GpuBlockMatcher {
         check(params, [&left, &right], [Some(&*disparity), disparity_right.as_deref()])?;
         let roi = roi.clamped(left.width, left.height);
         let region = Region::new(roi, left.width, params.min_disparity_px, params.search_px);
-        let regions: Vec<Region> = region.into_iter().collect();
+        let regions = region.as_slice();
         let has_right = disparity_right.is_some();
-        self.run(params, [left, right], &regions, has_right, |parts, result| {
-            fill(disparity, &parts[0], result, pool);
-            if let Some(map) = disparity_right {
-                fill(map, &parts[1], result, pool);
-            }
-        })
+        let parts = self.run(params, Source::Host([left, right]), regions, Target::Packed { has_right })?;
+        fill(disparity, &parts[0], &self.found, pool);
+        if let Some(map) = disparity_right {
+            fill(map, &parts[1], &self.found, pool);
+        }
+        Ok(())
+    }
+
+    /// As [`GpuBlockMatcher::compute`], for views and maps on the GPU, left and right, of one size. Does not wait, and writes only the
+    /// pixels that are matched.
+    ///
+    /// # Errors
+    /// As [`GpuBlockMatcher::compute`].
+    pub fn compute_there(
+        &mut self,
+        params: &BlockMatchingParams,
+        views: [DeviceImage; 2],
+        roi: Rect,
+        maps: [Option<DeviceImage>; 2],
+    ) -> Result<()> {
+        params.validate()?;
+        let roi = roi.clamped(views[0].width, views[0].height);
+        let region = Region::new(roi, views[0].width, params.min_disparity_px, params.search_px);
+        self.run(params, Source::Device(views), region.as_slice(), Target::Device(maps)).map(drop)
+    }
+
+    /// As [`GpuBlockMatcher::compute_tiles`], for views and a map on the GPU, of one size; see
+    /// [`GpuBlockMatcher::compute_there`].
+    ///
+    /// # Errors
+    /// As [`GpuBlockMatcher::compute_tiles`].
+    pub fn compute_tiles_there(
+        &mut self,
+        params: &BlockMatchingParams,
+        views: [DeviceImage; 2],
+        tiles: &[Tile],
+        map: DeviceImage,
+    ) -> Result<()> {
+        params.validate()?;
+        let regions = regions(tiles, (views[0].width, views[0].height))?;
+        self.run(params, Source::Device(views), &regions, Target::Device([Some(map), None])).map(drop)
     }
 
     /// Matches each of `tiles` of a rectified gray pair over its own range, in place of the range of the parameters;
@@ -256,44 +305,46 @@ impl GpuBlockMatcher {
         pool: &dyn Parallel,
     ) -> Result<()> {
         check(params, [&left, &right], [Some(&*disparity), None])?;
-        for tile in tiles {
-            let is_far = tile.first_px.unsigned_abs() > MAX_MIN_DISPARITY_PX;
-            if is_far || !(1..=MAX_SEARCH_PX).contains(&tile.search_px) {
-                return Err(error!(
-                    "a tile searches {} disparities from {} px on; accepted are 1 to {MAX_SEARCH_PX}, at most {MAX_MIN_DISPARITY_PX} px from 0",
-                    tile.search_px, tile.first_px
-                ));
-            }
-        }
-        let size = (left.width, left.height);
-        let regions: Vec<Region> = tiles.iter().filter_map(|tile| Region::of_tile(tile, size)).collect();
-        self.run(params, [left, right], &regions, false, |parts, result| fill(disparity, &parts[0], result, pool))
+        let regions = regions(tiles, (left.width, left.height))?;
+        let parts = self.run(params, Source::Host([left, right]), &regions, Target::Packed { has_right: false })?;
+        fill(disparity, &parts[0], &self.found, pool);
+        Ok(())
     }
 
+    /// Matches regions of views. Packed results are in `found` then; returns what they are.
     fn run(
         &mut self,
         params: &BlockMatchingParams,
-        views: [View<'_, u8>; 2],
+        views: Source<'_>,
         regions: &[Region],
-        has_right: bool,
-        read: impl FnOnce(&[Vec<Part>; 2], &[u8]),
-    ) -> Result<()> {
-        let (width, height, radius) = (views[0].width, views[0].height, params.block_px / 2);
+        target: Target,
+    ) -> Result<[Vec<Part>; 2]> {
+        let (size, strides) = match views {
+            Source::Host(views) => ((views[0].width, views[0].height), views.map(|view| view.stride)),
+            Source::Device(views) => ((views[0].width, views[0].height), views.map(|view| view.stride_bytes)),
+        };
+        let ((width, height), radius) = (size, params.block_px / 2);
         let rows = regions.iter().map(|region| &region.rows);
         let Some((first, end)) = rows.map(|r| (r.start, r.end)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))) else {
-            read(&Default::default(), &[]);
-            return Ok(());
+            return Ok(Default::default());
         };
-        let there = self.there.filter(|views| views.iter().all(|view| (view.width, view.height) == (width, height)));
         // Rows of the planes, and of the views that they are filtered from.
         let plane = first.saturating_sub(radius)..(end + radius).min(height);
-        let source =
-            if there.is_some() { 0..height } else { plane.start.saturating_sub(1)..(plane.end + 1).min(height) };
+        let source = match views {
+            Source::Host(_) => plane.start.saturating_sub(1)..(plane.end + 1).min(height),
+            Source::Device(_) => 0..height,
+        };
         let mut plan = Plan { width, first_row: plane.start, radius, ..Plan::default() };
+        let has_right = match target {
+            Target::Packed { has_right } => has_right,
+            Target::Device(maps) => {
+                plan.strides = maps.map(|map| map.map(|map| map.stride_bytes / 4));
+                maps[1].is_some()
+            }
+        };
         for region in regions {
             plan.add(region, params.left_right_px.is_some(), has_right);
         }
-        let strides = [0, 1].map(|k| there.map_or(views[k].stride, |there| there[k].stride_bytes));
         let filter_words = strides.map(|stride| {
             let cap = i32::from(params.prefilter_cap);
             let [width, rows, source_rows, stride] = [width, plane.len(), source.len(), stride].map(|n| n as i32);
@@ -317,7 +368,6 @@ impl GpuBlockMatcher {
 
         let gpu = self.gpu;
         let mut steps = Steps::default();
-        let sources = views.map(|view| rows_of(&view, &source));
         let call = self.call.reserve(gpu, call_words.len())?;
         steps.write(call, 0, &call_words);
         let mut planes = [0; 2];
@@ -327,19 +377,24 @@ impl GpuBlockMatcher {
             steps.write(sizes, 0, &filter_words[k]);
             blocks[k] = side.blocks.reserve(gpu, block_words[k].len())?;
             steps.write(blocks[k], 0, &block_words[k]);
-            let view = match there {
-                Some(there) => there[k].buffer,
-                None => {
-                    let view = side.view.reserve(gpu, sources[k].data.len() + MARGIN_BYTES)?;
-                    steps.write(view, 0, sources[k].data);
+            let view = match views {
+                Source::Host(views) => {
+                    let rows = rows_of(&views[k], &source);
+                    let view = side.view.reserve(gpu, rows.data.len() + MARGIN_BYTES)?;
+                    steps.write(view, 0, rows.data);
                     view
                 }
+                Source::Device(views) => views[k].buffer,
             };
             planes[k] = side.plane.reserve(gpu, 4 * (width + PLANE_MARGIN) * plane.len())?;
             steps.run(&self.filter, &[sizes, view, planes[k]], [width + PLANE_MARGIN, plane.len()]);
         }
         let winners = self.winners.reserve(gpu, 4 * plan.winners)?;
         let result = self.result.reserve(gpu, 4 * plan.result)?;
+        let results = match target {
+            Target::Device(maps) => maps.map(|map| map.map_or(result, |map| map.buffer)),
+            Target::Packed { .. } => [result; 2],
+        };
         // The left view needs the right one's winners.
         for k in [1, 0] {
             let count = plan.blocks[k].len() / 2;
@@ -348,14 +403,29 @@ impl GpuBlockMatcher {
             }
             let groups = [count.min(GROUPS_PER_ROW), count.div_ceil(GROUPS_PER_ROW)];
             let threads = [0, 1].map(|axis| groups[axis] * GROUP[axis]);
-            steps.run(&self.matching[k], &[call, blocks[k], planes[k], planes[1 - k], winners, result], threads);
+            steps.run(&self.matching[k], &[call, blocks[k], planes[k], planes[1 - k], winners, results[k]], threads);
         }
         gpu.submit(&steps)?;
-        self.found.resize(4 * plan.result, 0);
-        gpu.read(result, &mut self.found)?;
-        read(&plan.parts, &self.found);
-        Ok(())
+        if plan.result > 0 {
+            self.found.resize(4 * plan.result, 0);
+            gpu.read(result, &mut self.found)?;
+        }
+        Ok(plan.parts)
     }
+}
+
+/// The regions of tiles of views of this size.
+fn regions(tiles: &[Tile], size: (usize, usize)) -> Result<Vec<Region>> {
+    for tile in tiles {
+        let is_far = tile.first_px.unsigned_abs() > MAX_MIN_DISPARITY_PX;
+        if is_far || !(1..=MAX_SEARCH_PX).contains(&tile.search_px) {
+            return Err(error!(
+                "a tile searches {} disparities from {} px on; accepted are 1 to {MAX_SEARCH_PX}, at most {MAX_MIN_DISPARITY_PX} px from 0",
+                tile.search_px, tile.first_px
+            ));
+        }
+    }
+    Ok(tiles.iter().filter_map(|tile| Region::of_tile(tile, size)).collect())
 }
 
 fn bytes(words: &[i32]) -> Vec<u8> {

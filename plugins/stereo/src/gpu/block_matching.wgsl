@@ -24,8 +24,9 @@ struct Job {
     winners: u32,
     winner_first: i32,
     winner_stride: u32,
-    // Where in `disparities` the result goes; `NOWHERE` for none.
+    // Where in `disparities` the result goes, `NOWHERE` for none, and words from one of its rows to the next.
     output: u32,
+    output_stride: u32,
 }
 
 struct Call {
@@ -227,7 +228,7 @@ fn finish(index: u32, x: i32, end: i32, y: u32, cost: u32, lane: u32, before: u3
         offset = clamp(f32(change) / f32(2 * max(rise, 1)), -0.5, 0.5);
     }
     let value = bitcast<u32>(f32(disparity) + offset);
-    disparities[job.output + y * u32(job.end - job.first) + u32(x - job.first)] = select(NOT_A_NUMBER, value, is_kept);
+    disparities[job.output + y * job.output_stride + u32(x - job.first)] = select(NOT_A_NUMBER, value, is_kept);
 }
 
 fn finish_four(index: u32, x: i32, end: i32, y: u32, held: Winners, is_flat: vec4<bool>) {

@@ -4,15 +4,11 @@
 
 use panoscope_imaging::stereo::{SolveError, WlsParams, WlsSolver};
 use panoscope_imaging::{Rect, View};
-use panoscope_node::device::{DeviceImage, Gpu, Kernel, MARGIN_BYTES, Steps, Store, bytes_of_words};
+use panoscope_node::device::{Gpu, Kernel, MARGIN_BYTES, Steps, Store, bytes_of_words};
 use panoscope_node::{Result, error};
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// Size of what a shader reads about a call, bytes.
 const SIZE_BYTES: usize = 32;
-
-/// The guide of the next map, where it is on the GPU already.
-pub type Guide = Arc<Mutex<Option<DeviceImage>>>;
 
 /// Solves the planes of a map. Keeps its memory on the GPU.
 #[derive(Debug)]
@@ -21,7 +17,6 @@ pub struct GpuWlsSolver {
     weigh: Kernel,
     /// Along columns, and along rows.
     lines: [Kernel; 2],
-    there: Guide,
     guide: Store,
     /// Weights to the lower and to the right neighbour.
     weights: [Store; 2],
@@ -31,17 +26,17 @@ pub struct GpuWlsSolver {
 }
 
 impl GpuWlsSolver {
-    /// Prepares the GPU. The caller may put the guide of the next map into `there` first.
+    /// Prepares the GPU.
     ///
     /// # Errors
     /// It rejects a shader.
-    pub fn new(gpu: Gpu, there: Guide) -> Result<Self> {
+    pub fn new(gpu: Gpu) -> Result<Self> {
         let sizes = include_str!("wls_sizes.wgsl");
         let weigh = gpu.kernel("wls weights", &[sizes, include_str!("wls_weights.wgsl")])?;
         let lines = |constant: &str| gpu.kernel("wls lines", &[constant, sizes, include_str!("wls_lines.wgsl")]);
         let lines = [lines("const IS_ROWS = false;\n")?, lines("const IS_ROWS = true;\n")?];
         let (guide, weights, planes, factors, rounds) = Default::default();
-        Ok(Self { gpu, weigh, lines, there, guide, weights, planes, factors, rounds })
+        Ok(Self { gpu, weigh, lines, guide, weights, planes, factors, rounds })
     }
 
     fn run(
@@ -56,30 +51,43 @@ impl GpuWlsSolver {
             return Err(error!("planes of {} and {} values for {count} pixels", first.len(), second.len()));
         }
         let gpu = self.gpu;
+        let source = self.guide.reserve(gpu, guide.data.len() + MARGIN_BYTES)?;
+        let [held, held_second] = self.planes(count)?;
         let mut steps = Steps::default();
-        let there = *self.there.lock().unwrap_or_else(PoisonError::into_inner);
-        let size = (guide.width, guide.height);
-        let (source, stride) = match there.filter(|there| (there.width, there.height) == size) {
-            Some(there) => (there.buffer, there.stride_bytes),
-            None => {
-                let source = self.guide.reserve(gpu, guide.data.len() + MARGIN_BYTES)?;
-                steps.write(source, 0, guide.data);
-                (source, guide.stride)
-            }
-        };
-        let [down, right] = self.weights.each_mut().map(|store| store.reserve(gpu, 4 * count));
-        let [held, held_second] = self.planes.each_mut().map(|store| store.reserve(gpu, 4 * count));
-        let (down, right, held, held_second) = (down?, right?, held?, held_second?);
-        let factors = self.factors.reserve(gpu, 4 * count)?;
+        steps.write(source, 0, guide.data);
         steps.write_plain(held, 0, first);
         steps.write_plain(held_second, 0, second);
+        gpu.submit(&steps)?;
+        self.solve_there((source, guide.stride, guide.channels), roi, params, [held, held_second])?;
+        gpu.read_plain(held, first)?;
+        gpu.read_plain(held_second, second)
+    }
 
+    /// Room for two planes of `count` values.
+    pub(super) fn planes(&mut self, count: usize) -> Result<[u64; 2]> {
+        let [first, second] = self.planes.each_mut().map(|store| store.reserve(self.gpu, 4 * count));
+        Ok([first?, second?])
+    }
+
+    /// Solves planes on the GPU in place. The guide has `stride` bytes per row and `channels` per pixel. Does not wait.
+    pub(super) fn solve_there(
+        &mut self,
+        (source, stride, channels): (u64, usize, usize),
+        roi: Rect,
+        params: &WlsParams,
+        [held, held_second]: [u64; 2],
+    ) -> Result<()> {
+        let (gpu, count) = (self.gpu, roi.area());
+        let [down, right] = self.weights.each_mut().map(|store| store.reserve(gpu, 4 * count));
+        let (down, right) = (down?, right?);
+        let factors = self.factors.reserve(gpu, 4 * count)?;
+        let mut steps = Steps::default();
         self.rounds.resize_with(params.iterations, Store::default);
         let words: Vec<Vec<u8>> = (0..params.iterations)
             .map(|round| {
                 let strength = params.lambda * 0.25_f32.powi(round as i32);
                 let factor = -std::f32::consts::LOG2_E / params.sigma_color;
-                let sizes = [roi.width, roi.height, roi.x, roi.y, stride, guide.channels].map(|n| n as u32);
+                let sizes = [roi.width, roi.height, roi.x, roi.y, stride, channels].map(|n| n as u32);
                 bytes_of_words(&[&sizes[..], &[factor.to_bits(), strength.to_bits()]].concat())
             })
             .collect();
@@ -92,9 +100,7 @@ impl GpuWlsSolver {
             steps.run(&self.lines[1], &[sizes, right, held, held_second, factors], [roi.height, 1]);
             steps.run(&self.lines[0], &[sizes, down, held, held_second, factors], [roi.width, 1]);
         }
-        gpu.submit(&steps)?;
-        gpu.read_plain(held, first)?;
-        gpu.read_plain(held_second, second)
+        gpu.submit(&steps)
     }
 }
 

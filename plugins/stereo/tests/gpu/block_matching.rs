@@ -1,7 +1,7 @@
 //! Disparities matched on the device are those of the processor: the same pixels are unmatched, the others agree to
 //! 0.001 px.
 
-use super::support::{Held, device};
+use super::support::device;
 use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Tile};
 use panoscope_imaging::{Rect, Serial, View, ViewMut};
 use panoscope_stereo::gpu::block_matching::GpuBlockMatcher;
@@ -300,31 +300,4 @@ fn what_does_not_fit_is_refused_and_the_matcher_goes_on() {
         matcher.compute(&params(0, 32, 8), view, view, roi, &mut map, None, &Serial).expect_err("refused").to_string();
     assert!(refused.contains("block_px"), "{refused}");
     check_size(&mut matcher, &params(0, 32, 9), (64, 48), roi, true, 500);
-}
-
-#[test]
-fn views_that_are_on_the_device_are_matched_there() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
-    let (width, height) = (203, 90);
-    let pixels = pair(width, height, 12, 7);
-    let [left, right] = pixels.each_ref().map(|p| View::with_stride(&p[..], width, height, 1, width + PADDING));
-    let roi = Rect::new(20, 11, 170, 60);
-    let mut found = [(); 2].map(|()| {
-        maps((width, height), true, |map, map_right| {
-            matcher.compute(&params(0, 64, 9), left, right, roi, map, map_right, &Serial).expect("matched");
-        })
-    });
-    let held = pixels.each_ref().map(|p| Held::of(gpu, p, width, height, width + PADDING));
-    matcher.set_views(Some(held.each_ref().map(|held| held.image)));
-    // What is in the host's memory is not read then.
-    let black = vec![0; (width + PADDING) * height];
-    let black = View::with_stride(&black[..], width, height, 1, width + PADDING);
-    found[1] = maps((width, height), true, |map, map_right| {
-        matcher.compute(&params(0, 64, 9), black, black, roi, map, map_right, &Serial).expect("matched");
-    });
-    for side in 0..2 {
-        let (known, _) = compare(&found[1][side], &found[0][side], width, "on the device");
-        assert!(known > 1000, "{known}");
-    }
 }

@@ -1,6 +1,7 @@
 //! Kernels on a GPU that Mesa's Vulkan driver plays on the processor.
 
 mod block_matching;
+mod pair;
 mod rectify;
 #[path = "../../../../tests/support/gpu.rs"]
 pub mod support;

@@ -66,7 +66,7 @@ unsafe fn bytes(frame: &Frame) -> &[u8] {
 
 /// Writes black, or NaN, into a frame whose content is lost.
 fn blank(frame: &Frame) {
-    let value = if frame.format == abi::FORMAT_F32 { 0xff } else { 0 };
+    let value = if [abi::FORMAT_F32, abi::FORMAT_CLOUD].contains(&frame.format) { 0xff } else { 0 };
     // SAFETY: the frame's buffer has `len` bytes; its content was never in this memory, so that nobody reads it yet.
     unsafe { frame.data.write_bytes(value, frame.len) };
 }

@@ -98,18 +98,19 @@ fn level(view: &View<'_, u8>, x: usize, y: usize) -> u32 {
     view.data[at..at + view.channels].iter().copied().max().map_or(0, u32::from)
 }
 
-/// Walks a line of `length` pixels from its start on to the first run of `run` pixels of at least `lit`.
+/// Walks a line of `length` pixels from its start on to the first run of `run` pixels of at least `lit`. Looks at the last
+/// pixel of a run first: a dark one excludes all runs across it, so that a rim is crossed in steps of `run`.
 fn walk(length: usize, run: usize, reach: usize, lit: u32, level: impl Fn(usize) -> u32) -> End {
-    let mut count = 0;
-    for i in 0..length {
-        count = if level(i) >= lit { count + 1 } else { 0 };
-        if count == run {
-            let at = i + 1 - run;
-            let mean = |from: usize, to: usize| (from..to).map(&level).sum::<u32>() / (to - from).max(1) as u32;
-            let inside = mean(at + 1, (at + 1 + reach).min(length));
-            let outside = mean(at.saturating_sub(reach + 2), at.saturating_sub(2));
-            return End { at: at as u32, is_sharp: at > 2 && inside >= outside + STEP_LEVELS };
+    let mut at = 0;
+    while at + run <= length {
+        if let Some(dark) = (at..at + run).rev().find(|i| level(*i) < lit) {
+            at = dark + 1;
+            continue;
         }
+        let mean = |from: usize, to: usize| (from..to).map(&level).sum::<u32>() / (to - from).max(1) as u32;
+        let inside = mean(at + 1, (at + 1 + reach).min(length));
+        let outside = mean(at.saturating_sub(reach + 2), at.saturating_sub(2));
+        return End { at: at as u32, is_sharp: at > 2 && inside >= outside + STEP_LEVELS };
     }
     UNKNOWN
 }
@@ -128,7 +129,17 @@ impl LitFinder {
     /// Adds a frame, gray or BGR. Outside `valid` the view is black by construction. Returns whether the lit part has
     /// changed.
     pub fn look(&mut self, view: View<'_, u8>, valid: Option<&LitPart>) -> bool {
-        let size = (view.width, view.height);
+        self.look_at((view.width, view.height), |x, y| level(&view, x, y), valid)
+    }
+
+    /// As [`LitFinder::look`], for a frame of `size` px whose brightest channels `level` gives, by column and row. It asks
+    /// for few of them.
+    pub fn look_at(
+        &mut self,
+        size: (usize, usize),
+        level: impl Fn(usize, usize) -> u32,
+        valid: Option<&LitPart>,
+    ) -> bool {
         let mut is_new = false;
         if size != self.size {
             self.restart(size);
@@ -137,7 +148,7 @@ impl LitFinder {
         if size.0 < 16 || size.1 < 16 {
             return is_new;
         }
-        let rim = self.rim_level(&view);
+        let rim = self.rim_level(&level);
         let lines = if self.frames < FIRST_FRAMES { 0..LINE_STEP } else { 0..1 };
         let mut changed = is_new;
         if rim > BRIGHTEST_RIM {
@@ -152,7 +163,7 @@ impl LitFinder {
             let first = self.frames as usize % LINE_STEP;
             let mut count = [0; 2];
             for line in lines {
-                let found = self.walk_lines(&view, (first + line) % LINE_STEP, rim + LIT_LEVELS);
+                let found = self.walk_lines(&level, (first + line) % LINE_STEP, rim + LIT_LEVELS);
                 count = [count[0] + found[0], count[1] + found[1]];
             }
             if count[0] * 100 < count[1] * LIGHT_PERCENT {
@@ -195,15 +206,15 @@ impl LitFinder {
     }
 
     /// The darkest tenth of the pixels along the border.
-    fn rim_level(&mut self, view: &View<'_, u8>) -> u32 {
+    fn rim_level(&mut self, level: &impl Fn(usize, usize) -> u32) -> u32 {
         let (width, height) = self.size;
         self.ring.clear();
         let (right, bottom) = (width - 1 - LEVEL_INSET_PX, height - 1 - LEVEL_INSET_PX);
         for x in (LEVEL_INSET_PX..=right).step_by(4) {
-            self.ring.extend([LEVEL_INSET_PX, bottom].map(|y| level(view, x, y) as u8));
+            self.ring.extend([LEVEL_INSET_PX, bottom].map(|y| level(x, y) as u8));
         }
         for y in (LEVEL_INSET_PX..=bottom).step_by(4) {
-            self.ring.extend([LEVEL_INSET_PX, right].map(|x| level(view, x, y) as u8));
+            self.ring.extend([LEVEL_INSET_PX, right].map(|x| level(x, y) as u8));
         }
         let tenth = self.ring.len() / 10;
         u32::from(*self.ring.select_nth_unstable(tenth).1)
@@ -211,22 +222,22 @@ impl LitFinder {
 
     /// Walks every [`LINE_STEP`]th row and column from both ends. Returns the number of lines with light, and the
     /// number of lines.
-    fn walk_lines(&mut self, view: &View<'_, u8>, first: usize, lit: u32) -> [usize; 2] {
+    fn walk_lines(&mut self, level: &impl Fn(usize, usize) -> u32, first: usize, lit: u32) -> [usize; 2] {
         let (width, height) = self.size;
         let (run, reach) = (self.scaled(RUN_PX), self.scaled(REACH_PX));
         let mut count = [0; 2];
         for y in (first..height).step_by(LINE_STEP) {
-            self.seen[0][y] = walk(width, run, reach, lit, |i| level(view, i, y));
+            self.seen[0][y] = walk(width, run, reach, lit, |i| level(i, y));
             if self.seen[0][y] != UNKNOWN {
-                self.seen[1][y] = walk(width, run, reach, lit, |i| level(view, width - 1 - i, y));
+                self.seen[1][y] = walk(width, run, reach, lit, |i| level(width - 1 - i, y));
                 count[0] += 1;
             }
             count[1] += 1;
         }
         for x in (first..width).step_by(LINE_STEP) {
-            self.seen[2][x] = walk(height, run, reach, lit, |i| level(view, x, i));
+            self.seen[2][x] = walk(height, run, reach, lit, |i| level(x, i));
             if self.seen[2][x] != UNKNOWN {
-                self.seen[3][x] = walk(height, run, reach, lit, |i| level(view, x, height - 1 - i));
+                self.seen[3][x] = walk(height, run, reach, lit, |i| level(x, height - 1 - i));
                 count[0] += 1;
             }
             count[1] += 1;

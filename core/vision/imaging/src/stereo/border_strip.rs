@@ -4,7 +4,9 @@
 //! block matching finds nothing or chance. There all columns of the strip are compared at once, over some rows, by normalised correlation. The search
 //! goes on row by row from where the blocks matched, so that the strip continues a surface that is known.
 
-use crate::{Rect, View, ViewMut};
+use super::StereoError;
+use super::pair::{PairMaps, PairViews, RowEdit};
+use crate::{Parallel, Rect, View};
 
 /// Columns of a view that lengths refer to; they grow with the view.
 const REFERENCE_COLUMNS: usize = 640;
@@ -38,6 +40,7 @@ pub struct BorderStrip {
     /// The same, as the strip is matched.
     found: Vec<f32>,
     sorted: Vec<f32>,
+    edits: Vec<RowEdit>,
 }
 
 /// The strip's rows and lengths in px of the views.
@@ -68,25 +71,31 @@ impl BorderStrip {
     /// Matches the strip of a rectified gray pair where the map knows nothing of it.
     ///
     /// Writes px of the left view, from the column that the right view begins at to the border. Does nothing when the views share more than a strip.
-    pub fn fill(&mut self, [left, right]: [View<'_, u8>; 2], roi: Rect, disparity: &mut ViewMut<'_, f32>) {
-        let (width, height) = (disparity.width, disparity.height);
+    ///
+    /// # Errors
+    /// Those of the views and of the maps.
+    pub fn fill(
+        &mut self,
+        views: &mut dyn PairViews,
+        maps: &mut dyn PairMaps,
+        roi: Rect,
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        let (width, height) = views.size();
         let unit = (width / REFERENCE_COLUMNS).max(1);
         let reaches = roi.x + roi.width >= width;
         let margin = REACH_PX * unit;
-        if !reaches
-            || width < 4 * MAX_PX * unit
-            || roi.height <= 2 * margin
-            || [left.channels, right.channels] != [1; 2]
-        {
-            return;
+        if !reaches || width < 4 * MAX_PX * unit || roi.height <= 2 * margin {
+            return Ok(());
         }
         let first = roi.y + margin;
         let count = (roi.height - 2 * margin).div_ceil(ROW_STEP_PX * unit);
         let layout = Layout { unit, first, count, width, height };
-        self.read(disparity, &layout);
+        self.read(maps.columns(0, width - KNOWN_PX * unit..width)?, &layout);
         if self.known.iter().all(|d| d.is_nan()) {
-            return;
+            return Ok(());
         }
+        let strips = views.border(MAX_PX * unit)?;
         self.found.clear();
         self.found.resize(count, f32::NAN);
         for start in 0..count {
@@ -94,27 +103,27 @@ impl BorderStrip {
                 continue;
             }
             if start > 0 && self.known[start - 1].is_nan() {
-                self.walk([left, right], &layout, (0..start).rev());
+                self.walk(strips, &layout, (0..start).rev());
             }
             if start + 1 < count && self.known[start + 1].is_nan() {
-                self.walk([left, right], &layout, start + 1..count);
+                self.walk(strips, &layout, start + 1..count);
             }
         }
-        self.write(disparity, &layout);
+        self.take_edits(&layout);
+        if self.edits.iter().all(|edit| *edit == RowEdit::NONE) { Ok(()) } else { maps.edit(0, &self.edits, pool) }
     }
 
-    /// Finds the steps in which the map knows the disparity before the border.
-    fn read(&mut self, disparity: &ViewMut<'_, f32>, layout: &Layout) {
-        let (unit, columns) = (layout.unit, KNOWN_PX * layout.unit);
+    /// Finds the steps in which the map knows the disparity before the border, of which it has these columns.
+    fn read(&mut self, border: View<'_, f32>, layout: &Layout) {
+        let unit = layout.unit;
         self.known.clear();
         for step in 0..layout.count {
             let y = layout.row(step);
             let rows = y.saturating_sub(2 * unit)..(y + 2 * unit + 1).min(layout.height);
-            let total = rows.len() * columns;
+            let total = rows.len() * border.width;
             self.sorted.clear();
             for row in rows {
-                let line = &disparity.data[row * disparity.stride..][..layout.width];
-                self.sorted.extend(line[layout.width - columns..].iter().filter(|d| d.is_finite()));
+                self.sorted.extend(border.row(row).iter().filter(|d| d.is_finite()));
             }
             self.known.push(agreed(&mut self.sorted, total, AGREE_PX * unit as f32));
         }
@@ -137,8 +146,8 @@ impl BorderStrip {
         }
     }
 
-    /// Goes on from a known step over those that are not.
-    fn walk(&mut self, views: [View<'_, u8>; 2], layout: &Layout, steps: impl Iterator<Item = usize> + Clone) {
+    /// Goes on from a known step over those that are not. `strips` are the borders of the views.
+    fn walk(&mut self, strips: [View<'_, u8>; 2], layout: &Layout, steps: impl Iterator<Item = usize> + Clone) {
         let from = |steps: &mut dyn Iterator<Item = usize>, known: &[f32]| {
             steps.next().map(|step| {
                 if step + 1 < known.len() && known[step + 1].is_finite() { known[step + 1] } else { known[step - 1] }
@@ -150,7 +159,7 @@ impl BorderStrip {
             if self.known[step].is_finite() || misses == MAX_MISSES {
                 return;
             }
-            match best(views, layout, layout.row(step), last, layout.climb(misses + 1)) {
+            match best(strips, layout, layout.row(step), last, layout.climb(misses + 1)) {
                 Some(found) => {
                     self.found[step] = found;
                     (last, misses) = (found, 0);
@@ -160,8 +169,10 @@ impl BorderStrip {
         }
     }
 
-    /// Writes what was found, and what lies between that and what was known.
-    fn write(&self, disparity: &mut ViewMut<'_, f32>, layout: &Layout) {
+    /// Finds what becomes of the map's rows: what was found, and what lies between that and what was known.
+    fn take_edits(&mut self, layout: &Layout) {
+        self.edits.clear();
+        self.edits.resize(layout.height, RowEdit::NONE);
         let high = ROW_STEP_PX * layout.unit;
         for step in 0..layout.count {
             let of = |step: usize| {
@@ -175,13 +186,8 @@ impl BorderStrip {
                 let d = here + (next - here) * down as f32 / high as f32;
                 let y = layout.row(step) + down;
                 let from = d.ceil().max(0.0) as usize;
-                if y >= layout.height || from >= layout.width {
-                    continue;
-                }
-                for value in &mut disparity.data[y * disparity.stride..][from..layout.width] {
-                    if is_here || value.is_nan() {
-                        *value = d;
-                    }
+                if y < layout.height && from < layout.width {
+                    self.edits[y] = RowEdit { from: from as u32, value: d, overwrites: is_here, ..RowEdit::NONE };
                 }
             }
         }
@@ -200,11 +206,11 @@ fn agreed(values: &mut [f32], total: usize, within: f32) -> f32 {
 }
 
 /// The disparity near `around` at which the strip around a row correlates best; `None` when it correlates too little.
-fn best(views: [View<'_, u8>; 2], layout: &Layout, row: usize, around: f32, climb: f32) -> Option<f32> {
+fn best(strips: [View<'_, u8>; 2], layout: &Layout, row: usize, around: f32, climb: f32) -> Option<f32> {
     let (unit, width) = (layout.unit, layout.width);
     let first = ((around - climb).round() as i64).max((width - MAX_PX * unit) as i64);
     let last = ((around + climb).round() as i64).min((width - MIN_PX * unit) as i64);
-    let of = |d: i64| correlation(views, layout, row, d as usize);
+    let of = |d: i64| correlation(strips, layout, row, d as usize);
     let (mut best_at, mut best_value) = (first, f32::MIN);
     for d in first..=last {
         let value = of(d);
@@ -231,7 +237,7 @@ fn correlation([left, right]: [View<'_, u8>; 2], layout: &Layout, row: usize, di
     let rows = row.saturating_sub(REACH_PX * unit)..(row + REACH_PX * unit + 1).min(height);
     let (mut count, mut a, mut b, mut aa, mut bb, mut ab) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
     for y in rows.step_by(unit) {
-        let (l, r) = (&left.row(y)[disparity..width], &right.row(y)[..width - disparity]);
+        let (l, r) = (&left.row(y)[left.width + disparity - width..], &right.row(y)[..width - disparity]);
         for (l, r) in l.iter().zip(r).step_by(unit) {
             // Near zero, so that sums of squares keep their digits.
             let (l, r) = (f32::from(*l) - 128.0, f32::from(*r) - 128.0);
@@ -251,6 +257,8 @@ fn correlation([left, right]: [View<'_, u8>; 2], layout: &Layout, row: usize, di
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Serial;
+    use crate::stereo::pair::testing::with_maps;
     use panoscope_base::random::lattice as random;
 
     const W: usize = 640;
@@ -291,9 +299,11 @@ mod tests {
         (0..W * H).map(|i| value(i % W, i / W)).collect()
     }
 
-    fn filled(map: &mut [f32], [left, right]: &[Vec<u8>; 2]) {
-        let views = [View::new(&left[..], W, H, 1), View::new(&right[..], W, H, 1)];
-        BorderStrip::default().fill(views, Rect::whole(W, H), &mut ViewMut::new(map, W, H, 1));
+    fn filled(map: &mut Vec<f32>, views: &[Vec<u8>; 2]) {
+        let mut views = views.each_ref().map(|view| View::new(&view[..], W, H, 1));
+        with_maps([map, &mut Vec::new()], (W, H), false, |maps| {
+            BorderStrip::default().fill(&mut views, maps, Rect::whole(W, H), &Serial)
+        });
     }
 
     #[test]

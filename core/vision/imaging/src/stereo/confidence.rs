@@ -32,14 +32,14 @@ impl Default for ConfidenceParams {
 }
 
 /// Disparities are quantised to this part of a px for the scatter, so that sums are whole numbers.
-const STEPS_PER_PX: f32 = 4.0;
+pub const STEPS_PER_PX: f32 = 4.0;
 /// Largest quantised disparity: the squares of a 31 x 31 window of these still fit 32 bits, and their sum fits the bits below
 /// the count.
 const MAX_STEPS: f32 = 2047.0;
 /// Sums carry the count of their pixels from this bit on.
 const COUNT_SHIFT: u32 = 21;
 /// Part of the neighbourhood that must be matched for full confidence.
-const FULL_SHARE: f32 = 0.6;
+pub const FULL_SHARE: f32 = 0.6;
 /// Rows of one chunk; the rows of its window's rim are read twice.
 const CHUNK_ROWS: usize = 48;
 

@@ -1,6 +1,8 @@
 //! Vertical distance of matched points: 0 for a rectified pair, more when the calibration has drifted.
 
-use crate::View;
+use super::StereoError;
+use super::pair::{MapSamples, PairViews};
+use crate::{Rect, View};
 
 /// Rows searched above and below.
 const REACH: usize = 6;
@@ -14,35 +16,48 @@ const MIN_POINTS: usize = 24;
 /// Measures the vertical error of a matched pair. Reuses its memory.
 #[derive(Debug, Default)]
 pub struct Epipolar {
+    samples: Vec<f32>,
     errors: Vec<f32>,
 }
 
+/// Distance of the measured points from the border, px.
+const MARGIN: usize = REACH + RADIUS + 1;
+
 impl Epipolar {
-    /// Median distance in px of matched points from their rows; `None` when too few points have vertical texture.
-    pub fn measure(&mut self, left: View<'_, u8>, right: View<'_, u8>, disparity: View<'_, f32>) -> Option<f32> {
-        let margin = REACH + RADIUS + 1;
+    /// Median distance in px of matched points from their rows; `None` when too few points have vertical texture. Where
+    /// points are matched, it looks at both views in the host's memory.
+    ///
+    /// # Errors
+    /// Those of the views and of the map.
+    pub fn measure(
+        &mut self,
+        views: &mut dyn PairViews,
+        disparity: &mut dyn MapSamples,
+    ) -> Result<Option<f32>, StereoError> {
+        let (width, height) = views.size();
         self.errors.clear();
-        if left.width <= 2 * margin || left.height <= 2 * margin {
-            return None;
+        if width <= 2 * MARGIN || height <= 2 * MARGIN {
+            return Ok(None);
         }
-        for y in (margin..left.height - margin).step_by(STEP) {
-            let row = disparity.row(y);
-            for x in (margin..left.width - margin).step_by(STEP) {
-                let to = x as f32 - row[x];
-                // NaN fails.
-                if to >= margin as f32
-                    && to < (right.width - margin) as f32
-                    && let Some(error) = vertical_error(left, right, (x, y), to.round() as usize)
-                {
-                    self.errors.push(error.abs());
-                }
-            }
+        let area = Rect::new(MARGIN, MARGIN, width - 2 * MARGIN, height - 2 * MARGIN);
+        disparity.samples(area, STEP, &mut self.samples)?;
+        let columns = area.width.div_ceil(STEP);
+        let points = self.samples.iter().enumerate().filter_map(|(at, d)| {
+            let (x, y) = (MARGIN + at % columns * STEP, MARGIN + at / columns * STEP);
+            let to = x as f32 - d;
+            // NaN fails.
+            (to >= MARGIN as f32 && to < (width - MARGIN) as f32).then(|| ((x, y), to.round() as usize))
+        });
+        if points.clone().count() < MIN_POINTS {
+            return Ok(None);
         }
+        let [left, right] = views.whole()?;
+        self.errors.extend(points.filter_map(|(at, to)| vertical_error(left, right, at, to)).map(f32::abs));
         if self.errors.len() < MIN_POINTS {
-            return None;
+            return Ok(None);
         }
         let middle = self.errors.len() / 2;
-        Some(*self.errors.select_nth_unstable_by(middle, f32::total_cmp).1)
+        Ok(Some(*self.errors.select_nth_unstable_by(middle, f32::total_cmp).1))
     }
 }
 

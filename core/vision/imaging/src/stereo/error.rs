@@ -44,6 +44,11 @@ pub enum StereoError {
         /// What is wrong.
         reason: String,
     },
+    /// The device that holds the frames failed. The same call with frames in the host's memory does without it.
+    Device {
+        /// The device's message.
+        reason: String,
+    },
 }
 
 impl fmt::Display for StereoError {
@@ -56,6 +61,7 @@ impl fmt::Display for StereoError {
             Self::Parameter { name, value, accepted } => write!(f, "{name} = {value} is refused: accepted {accepted}"),
             Self::Format { format, reason } => write!(f, "not a usable {format} file: {reason}"),
             Self::Calibration { reason } => write!(f, "calibration is refused: {reason}"),
+            Self::Device { reason } => f.write_str(reason),
         }
     }
 }

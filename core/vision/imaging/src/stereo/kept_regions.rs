@@ -4,6 +4,8 @@
 //! is as narrow as that, such as a wire or the tip of an instrument, nothing of it is left. What both views agree on over an area, with no more of
 //! the same surface beside it than its edge would have, is an object and keeps its disparities.
 
+use std::ops::Range;
+
 use crate::simd::dispatch;
 use crate::stereo::confidence::ConfidenceParams;
 use crate::stereo::filter_input::FilterInput;
@@ -14,11 +16,11 @@ use crate::{Parallel, Rect, SharedMut, Simd, ViewMut};
 /// Smallest area of a region, in squares of the radius of the scatter and [`EDGE_PX`]: wrong matches are about as large as a matcher's window.
 const MIN_SQUARES: usize = 9;
 /// Matches reach over edges by so much more than the radius of their scatter, px.
-pub(crate) const EDGE_PX: usize = 2;
+pub const EDGE_PX: usize = 2;
 /// Largest step of disparity inside a region, px.
-const MAX_STEP_PX: f32 = 1.0;
+pub const MAX_STEP_PX: f32 = 1.0;
 /// Confidence of a disparity that is given back; what a filter makes of it says nothing.
-pub(crate) const KEPT_CONFIDENCE: f32 = 0.5;
+pub const KEPT_CONFIDENCE: f32 = 0.5;
 /// Rows per chunk.
 const ROWS: usize = 16;
 /// Pixels of a row that are compared together.
@@ -40,6 +42,93 @@ impl Tally for Counts {
     }
 }
 
+/// A pixel that a filter has moved or removed although the match has it right in both views.
+#[derive(Clone, Copy, Debug)]
+pub struct MovedPixel {
+    /// Column.
+    pub x: usize,
+    /// Row.
+    pub y: usize,
+    /// Whether it is neither black nor saturated.
+    pub is_exposed: bool,
+    /// How many of its four neighbours are of the same surface and were kept by the filter.
+    pub contacts: u32,
+    /// Whether its disparity continues that of the left neighbour.
+    pub joins_left: bool,
+    /// Whether its disparity continues that of the upper neighbour.
+    pub joins_above: bool,
+}
+
+/// Joins moved pixels into regions and tells objects from edges. Reuses its memory.
+#[derive(Debug, Default)]
+pub struct MovedRegions {
+    runs: Runs<Counts>,
+    /// Columns of the present row that continue the row above.
+    joined: Vec<usize>,
+}
+
+impl MovedRegions {
+    /// Takes the pixels of a map: row after row, from left to right.
+    pub fn join(&mut self, moved: impl Iterator<Item = MovedPixel>) {
+        self.runs.clear();
+        self.joined.clear();
+        let mut open: Option<(usize, Range<usize>, Counts)> = None;
+        for pixel in moved {
+            let counts = Counts { exposed: pixel.is_exposed.into(), contacts: pixel.contacts };
+            match &mut open {
+                Some((row, columns, all)) if pixel.joins_left && (*row, columns.end) == (pixel.y, pixel.x) => {
+                    columns.end += 1;
+                    all.add(counts);
+                }
+                _ => {
+                    if let Some((row, columns, all)) = open.replace((pixel.y, pixel.x..pixel.x + 1, counts)) {
+                        self.runs.push(row, columns, all);
+                        if row < pixel.y {
+                            self.end_row();
+                        }
+                        if row + 1 < pixel.y {
+                            self.end_row();
+                        }
+                    }
+                }
+            }
+            if pixel.joins_above {
+                self.joined.push(pixel.x);
+            }
+        }
+        if let Some((row, columns, all)) = open {
+            self.runs.push(row, columns, all);
+            self.end_row();
+        }
+    }
+
+    fn end_row(&mut self) {
+        let joined = &self.joined;
+        self.runs.end_row(|shared| {
+            let first = joined.partition_point(|x| *x < shared.start);
+            joined.get(first).is_some_and(|x| *x < shared.end)
+        });
+        self.joined.clear();
+    }
+
+    /// Calls `keep` with row and columns of each run of pixels of an object. `edge_px` is how far from steps of depth the filter changes disparities by right.
+    pub fn objects(&mut self, params: &ConfidenceParams, edge_px: usize, mut keep: impl FnMut(usize, Range<usize>)) {
+        let min_area = MIN_SQUARES * (params.scatter_radius_px + EDGE_PX).pow(2);
+        for index in 0..self.runs.len() {
+            let root = self.runs.root(index);
+            let region = self.runs.get(root);
+            let Counts { exposed, contacts } = region.tally;
+            let is_object = region.area() >= min_area
+                && region.area() > contacts as usize * edge_px
+                && 2 * exposed as usize > region.area();
+            if is_object {
+                let run = self.runs.get(index);
+                keep(run.row(), run.columns());
+            }
+        }
+    }
+}
+
 /// Finds and gives back regions; keeps its memory.
 #[derive(Debug, Default)]
 pub(crate) struct KeptRegions {
@@ -47,7 +136,7 @@ pub(crate) struct KeptRegions {
     fates: Vec<u8>,
     /// Whether any of [`GRAIN_PX`] pixels of a row has moved.
     moved_grains: Vec<bool>,
-    runs: Runs<Counts>,
+    regions: MovedRegions,
 }
 
 /// The filter has kept the disparity, or the pixel had none that both views agree on.
@@ -77,27 +166,16 @@ impl KeptRegions {
         if !self.find_moved(input, params, roi, pool, filtered) {
             return 0;
         }
-        self.find_runs(input, roi, filtered, params.left_right_px);
-        let min_area = MIN_SQUARES * (params.scatter_radius_px + EDGE_PX).pow(2);
+        self.find_regions(input, roi, filtered, params.left_right_px);
         let mut confidence = confidence;
         let mut restored = 0;
-        for index in 0..self.runs.len() {
-            let root = self.runs.root(index);
-            let region = self.runs.get(root);
-            let Counts { exposed, contacts } = region.tally;
-            let is_object = region.area() >= min_area
-                && region.area() > contacts as usize * edge_px
-                && 2 * exposed as usize > region.area();
-            if is_object {
-                let run = self.runs.get(index);
-                let (y, columns) = (run.row(), run.columns());
-                filtered.row_mut(y)[columns.clone()].copy_from_slice(&input.disparity.row(y)[columns.clone()]);
-                if let Some(map) = &mut confidence {
-                    map.row_mut(y)[columns.clone()].iter_mut().for_each(|value| *value = value.max(KEPT_CONFIDENCE));
-                }
-                restored += columns.len();
+        self.regions.objects(params, edge_px, |y, columns| {
+            filtered.row_mut(y)[columns.clone()].copy_from_slice(&input.disparity.row(y)[columns.clone()]);
+            if let Some(map) = &mut confidence {
+                map.row_mut(y)[columns.clone()].iter_mut().for_each(|value| *value = value.max(KEPT_CONFIDENCE));
             }
-        }
+            restored += columns.len();
+        });
         restored
     }
 
@@ -144,49 +222,42 @@ impl KeptRegions {
     }
 
     /// Joins moved pixels into regions.
-    fn find_runs(&mut self, input: &FilterInput<'_>, roi: Rect, filtered: &ViewMut<'_, f32>, limit_px: f32) {
-        self.runs.clear();
-        let out = filtered.as_view();
+    fn find_regions(&mut self, input: &FilterInput<'_>, roi: Rect, filtered: &ViewMut<'_, f32>, limit_px: f32) {
+        let (Self { fates, moved_grains, regions }, out) = (self, filtered.as_view());
         let per_row = roi.width.div_ceil(GRAIN_PX);
-        for row in 0..roi.height {
-            let y = roi.y + row;
-            let fates = &self.fates[row * roi.width..(row + 1) * roi.width];
-            let here = &input.disparity.row(y)[roi.x..roi.x + roi.width];
-            let grains = &self.moved_grains[row * per_row..(row + 1) * per_row];
+        let at = |x: usize, row: usize| (input.disparity.row(roi.y + row)[roi.x + x], out.row(roi.y + row)[roi.x + x]);
+        let moved = (0..roi.height).flat_map(|row| {
+            let grains = &moved_grains[row * per_row..(row + 1) * per_row];
             // Most rows have none.
-            let mut x = grains.iter().position(|is_moved| *is_moved).map_or(roi.width, |grain| grain * GRAIN_PX);
-            while let Some(skip) = fates[x..].iter().position(|fate| *fate != STAYS) {
-                let start = x + skip;
-                x = start + 1;
-                while x < roi.width && fates[x] != STAYS && (here[x] - here[x - 1]).abs() <= MAX_STEP_PX {
-                    x += 1;
-                }
-                let count = |all: &dyn Fn(usize) -> bool| (start..x).filter(|x| all(*x)).count() as u32;
-                // Of the same surface, and where it was.
-                let is_kept = |d: f32, column: usize, row: usize| {
-                    let (other, smooth) =
-                        (input.disparity.row(roi.y + row)[roi.x + column], out.row(roi.y + row)[roi.x + column]);
-                    self.fates[row * roi.width + column] == STAYS
-                        && (d - other).abs() <= MAX_STEP_PX
-                        && (other - smooth).abs() <= limit_px
-                };
-                let mut contacts = u32::from(start > 0 && is_kept(here[start], start - 1, row))
-                    + u32::from(x < roi.width && is_kept(here[x - 1], x, row));
-                if row > 0 {
-                    contacts += count(&|x| is_kept(here[x], x, row - 1));
-                }
-                if row + 1 < roi.height {
-                    contacts += count(&|x| is_kept(here[x], x, row + 1));
-                }
-                let exposed = count(&|x| fates[x] == MOVED_EXPOSED);
-                self.runs.push(y, roi.x + start..roi.x + x, Counts { exposed, contacts });
+            let columns = grains.iter().enumerate().filter(|(_, is_moved)| **is_moved);
+            let columns = columns.flat_map(|(grain, _)| grain * GRAIN_PX..((grain + 1) * GRAIN_PX).min(roi.width));
+            columns.map(move |x| (x, row))
+        });
+        let moved = moved.filter(|(x, row)| fates[row * roi.width + x] != STAYS).map(|(x, row)| {
+            let (d, _) = at(x, row);
+            // Of the same surface, and where it was.
+            let is_kept = |x: usize, row: usize| {
+                let (other, smooth) = at(x, row);
+                fates[row * roi.width + x] == STAYS
+                    && (d - other).abs() <= MAX_STEP_PX
+                    && (other - smooth).abs() <= limit_px
+            };
+            let contacts = [
+                x > 0 && is_kept(x - 1, row),
+                x + 1 < roi.width && is_kept(x + 1, row),
+                row > 0 && is_kept(x, row - 1),
+                row + 1 < roi.height && is_kept(x, row + 1),
+            ];
+            MovedPixel {
+                x: roi.x + x,
+                y: roi.y + row,
+                is_exposed: fates[row * roi.width + x] == MOVED_EXPOSED,
+                contacts: contacts.map(u32::from).iter().sum(),
+                joins_left: x > 0 && (d - at(x - 1, row).0).abs() <= MAX_STEP_PX,
+                joins_above: row > 0 && (d - at(x, row - 1).0).abs() <= MAX_STEP_PX,
             }
-            // The first row of the ROI has no runs above.
-            let (upper, lower) = (input.disparity.row(y.saturating_sub(1)), input.disparity.row(y));
-            self.runs.end_row(|shared| {
-                upper[shared.clone()].iter().zip(&lower[shared]).any(|(a, b)| (a - b).abs() <= MAX_STEP_PX)
-            });
-        }
+        });
+        regions.join(moved);
     }
 }
 

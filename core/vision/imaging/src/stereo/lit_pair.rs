@@ -2,11 +2,10 @@
 //!
 //! A rim lies at one place in both views. Blocks that reach over it match it to itself, at a disparity that has nothing to do with the tissue beside it.
 
+use super::StereoError;
+use super::pair::{PairMaps, RowEdit};
+use crate::Parallel;
 use crate::lit::LitPart;
-use crate::{Parallel, SharedMut, ViewMut};
-
-/// Rows of a map per chunk.
-const ROWS: usize = 32;
 
 /// The lit parts of both views. Computes only when they change.
 #[derive(Debug, Default)]
@@ -15,6 +14,9 @@ pub struct LitPair {
     rim_px: usize,
     /// What is far enough from a rim.
     clear: [LitPart; 2],
+    /// What becomes of the rows of both maps, and in the end of the left one's.
+    edits: [Vec<RowEdit>; 2],
+    rim: Vec<RowEdit>,
     is_set: bool,
 }
 
@@ -38,6 +40,16 @@ impl LitPair {
             self.given[view] = part.cloned().unwrap_or_else(|| LitPart::whole(size.0, size.1));
             self.given[view].inset(rim_px, &mut self.clear[view]);
         }
+        for (side, edits) in self.edits.iter_mut().enumerate() {
+            edits.clear();
+            edits.extend((0..size.1).map(|y| {
+                let there = self.clear[1 - side].row(y);
+                let there = [there.start as f32 - 0.5, there.end as f32 - 0.5];
+                RowEdit { there, ..RowEdit::keep(self.clear[side].row(y)) }
+            }));
+        }
+        self.rim.clear();
+        self.rim.extend((0..size.1).map(|y| RowEdit::keep(self.given[0].row(y))));
     }
 
     /// The parts of views of this size that are matched; `None` when both are lit as a whole.
@@ -45,42 +57,33 @@ impl LitPair {
         (self.is_set && self.clear.iter().all(|part| part.size() == size)).then_some(&self.clear)
     }
 
-    /// Sets pixels of `map` (of the left view, or of the right one with `is_right`) to NaN that lie, or whose counterparts lie, on
-    /// a rim or near it.
-    pub fn clear_map(&self, map: &mut ViewMut<'_, f32>, is_right: bool, pool: &dyn Parallel) {
-        let (width, height, stride) = (map.width, map.height, map.stride);
-        let Some(parts) = self.clear_parts((width, height)) else { return };
-        let (own, other) = (&parts[usize::from(is_right)], &parts[usize::from(!is_right)]);
-        let sign = if is_right { 1.0 } else { -1.0 };
-        let target = SharedMut::new(&mut *map.data);
-        pool.run(height.div_ceil(ROWS), &|chunk| {
-            for y in chunk * ROWS..(chunk * ROWS + ROWS).min(height) {
-                // SAFETY: every row belongs to one chunk.
-                let row = unsafe { target.part(y * stride, width) };
-                let (lit, there) = (own.row(y), other.row(y));
-                row[..lit.start].fill(f32::NAN);
-                row[lit.end..].fill(f32::NAN);
-                let (first, last) = (there.start as f32 - 0.5, there.end as f32 - 0.5);
-                for (x, value) in row[lit.clone()].iter_mut().enumerate() {
-                    let at = (lit.start + x) as f32 + sign * *value;
-                    // NaN fails.
-                    *value = if (at >= first) & (at <= last) { *value } else { f32::NAN };
-                }
-            }
-        });
+    /// Sets pixels of the left (0) or right (1) map of views of this size to NaN that lie, or whose counterparts lie, on a
+    /// rim or near it.
+    ///
+    /// # Errors
+    /// Those of the maps.
+    pub fn clear_map(
+        &self,
+        maps: &mut dyn PairMaps,
+        side: usize,
+        size: (usize, usize),
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        if self.clear_parts(size).is_none() { Ok(()) } else { maps.edit(side, &self.edits[side], pool) }
     }
 
-    /// Sets pixels of the left map that lie on the rim to NaN.
-    pub fn clear_rim(&self, map: &mut ViewMut<'_, f32>) {
-        if !self.is_set || self.given[0].size() != (map.width, map.height) {
-            return;
-        }
-        for y in 0..map.height {
-            let lit = self.given[0].row(y);
-            let row = map.row_mut(y);
-            row[..lit.start].fill(f32::NAN);
-            row[lit.end..].fill(f32::NAN);
-        }
+    /// Sets pixels of the left map, of this size, that lie on the rim to NaN.
+    ///
+    /// # Errors
+    /// Those of the maps.
+    pub fn clear_rim(
+        &self,
+        maps: &mut dyn PairMaps,
+        size: (usize, usize),
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        let is_there = self.is_set && self.given[0].size() == size;
+        if is_there { maps.edit(0, &self.rim, pool) } else { Ok(()) }
     }
 }
 
@@ -88,6 +91,7 @@ impl LitPair {
 mod tests {
     use super::*;
     use crate::Serial;
+    use crate::stereo::pair::testing::with_maps;
 
     const SIZE: (usize, usize) = (60, 20);
 
@@ -101,25 +105,24 @@ mod tests {
         (0..SIZE.0).filter(|x| map[5 * SIZE.0 + x].is_finite()).collect()
     }
 
+    /// Columns that are known of a map of 5 px that `clear` has changed.
+    fn left_known(side: usize, clear: impl FnOnce(&mut dyn PairMaps) -> Result<(), StereoError>) -> Vec<usize> {
+        let mut maps = [(); 2].map(|()| vec![5.0f32; SIZE.0 * SIZE.1]);
+        with_maps(maps.each_mut(), SIZE, true, clear);
+        known(&maps[side])
+    }
+
     #[test]
     fn a_pixel_counts_only_when_both_blocks_are_lit() {
         let (left, right) = (columns(10..60), columns(0..45));
         let mut pair = LitPair::default();
         pair.set([Some(&left), Some(&right)], 3);
-        let mut map = vec![5.0f32; SIZE.0 * SIZE.1];
-        pair.clear_map(&mut ViewMut::new(&mut map, SIZE.0, SIZE.1, 1), false, &Serial);
         // Left from 13 on, right up to 41, which lies 5 px further right in the left view.
-        assert_eq!(known(&map), (13..47).collect::<Vec<_>>());
-        let mut map = vec![5.0f32; SIZE.0 * SIZE.1];
-        pair.clear_map(&mut ViewMut::new(&mut map, SIZE.0, SIZE.1, 1), true, &Serial);
-        assert_eq!(known(&map), (8..42).collect::<Vec<_>>());
-        let mut map = vec![5.0f32; SIZE.0 * SIZE.1];
-        pair.clear_rim(&mut ViewMut::new(&mut map, SIZE.0, SIZE.1, 1));
-        assert_eq!(known(&map), (10..60).collect::<Vec<_>>());
+        assert_eq!(left_known(0, |maps| pair.clear_map(maps, 0, SIZE, &Serial)), (13..47).collect::<Vec<_>>());
+        assert_eq!(left_known(1, |maps| pair.clear_map(maps, 1, SIZE, &Serial)), (8..42).collect::<Vec<_>>());
+        assert_eq!(left_known(0, |maps| pair.clear_rim(maps, SIZE, &Serial)), (10..60).collect::<Vec<_>>());
         // Without parts nothing is cleared.
         pair.set([None, None], 3);
-        let mut map = vec![5.0f32; SIZE.0 * SIZE.1];
-        pair.clear_map(&mut ViewMut::new(&mut map, SIZE.0, SIZE.1, 1), false, &Serial);
-        assert_eq!(known(&map).len(), SIZE.0);
+        assert_eq!(left_known(0, |maps| pair.clear_map(maps, 0, SIZE, &Serial)).len(), SIZE.0);
     }
 }

@@ -1,8 +1,9 @@
 //! A matcher as nodes use it: range of the search, kernel, shared field, speckles.
 
 use super::border_strip::BorderStrip;
+use super::error::check_size;
 use super::lit_pair::LitPair;
-use super::matching::again;
+use super::pair::{HostMaps, PairMaps, PairViews, RowEdit};
 use super::search::{Search, SearchParams};
 use super::tile::Tile;
 use super::{SharedField, SpeckleFilter, StereoError};
@@ -69,7 +70,7 @@ pub struct PairMatcher {
     lit: LitPair,
     strip: BorderStrip,
     /// The right view's map when nobody reads it: the shared field is found by it.
-    right: Vec<f32>,
+    spare: Vec<f32>,
     /// Tiles inside the region.
     tiles: Vec<Tile>,
 }
@@ -86,7 +87,7 @@ impl PairMatcher {
             field: SharedField::default(),
             lit: LitPair::default(),
             strip: BorderStrip::default(),
-            right: Vec::new(),
+            spare: Vec::new(),
             tiles: Vec::new(),
         })
     }
@@ -112,63 +113,71 @@ impl PairMatcher {
         &mut self,
         report: &dyn Report,
         kernel: &mut K,
-        views: [View<'_, u8>; 2],
+        mut views: [View<'_, u8>; 2],
         roi: Rect,
         params: &PairParams,
         pool: &dyn Parallel,
-        mut disparity: ViewMut<'_, f32>,
-        mut disparity_right: Option<ViewMut<'_, f32>>,
+        left: ViewMut<'_, f32>,
+        right: Option<ViewMut<'_, f32>>,
     ) -> Result<(), StereoError> {
-        let (width, height) = (disparity.width, disparity.height);
-        let roi = roi.clamped(width, height);
+        check_size("disparity", (views[0].width, views[0].height), (left.width, left.height))?;
+        check_size("right view", (views[0].width, views[0].height), (views[1].width, views[1].height))?;
+        let mut spare = std::mem::take(&mut self.spare);
+        let mut maps = HostMaps { kernel, views, left, right, spare: &mut spare };
+        let computed = self.compute_in(report, &mut views, &mut maps, roi, params, pool);
+        self.spare = spare;
+        computed
+    }
+
+    /// As [`PairMatcher::compute`], for views and maps wherever they are.
+    ///
+    /// # Errors
+    /// Those of the views and of the maps.
+    pub fn compute_in(
+        &mut self,
+        report: &dyn Report,
+        views: &mut dyn PairViews,
+        maps: &mut dyn PairMaps,
+        roi: Rect,
+        params: &PairParams,
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        let size = views.size();
+        let roi = roi.clamped(size.0, size.1);
         let first_px = self.search.begin(report, views, &params.search, pool)?;
         // A region was chosen by who knows what the views share; the whole frame is cut down to that by the maps of both views.
-        let is_whole = roi == Rect::whole(width, height);
+        let is_whole = roi == Rect::whole(size.0, size.1);
+        let right_is_read = maps.right_is_read();
         if self.search.is_swapped() {
             // Matches of swapped views are chance, their depths would be believed.
-            clear(&mut disparity);
-            disparity_right.as_mut().map(clear);
-            self.search.end(report, views, disparity.as_view(), is_whole, &params.search);
-            return Ok(());
-        }
-        let tiles = self.search.tiles();
-        let right_is_read = disparity_right.is_some();
-        let mut right = match disparity_right {
-            Some(right) => Some(right),
-            None if is_whole || tiles.is_some() => {
-                self.right.resize(width * height, f32::NAN);
-                Some(ViewMut::new(&mut self.right, width, height, 1))
+            for side in 0..=usize::from(right_is_read) {
+                maps.edit(side, &[RowEdit::CLEAR], pool)?;
             }
-            None => None,
-        };
-        if let (Some(tiles), Some(right)) = (tiles, &mut right) {
+            return self.search.end(report, views, maps, is_whole, &params.search);
+        }
+        if let Some(tiles) = self.search.tiles() {
             self.tiles.clear();
             self.tiles.extend(tiles.iter().filter_map(|tile| {
                 let area = tile.area.intersect(&roi);
                 (!area.is_empty()).then_some(Tile { area, ..*tile })
             }));
-            let left_right_px = params.left_right_px.map(|px| px as f32);
-            kernel.match_tiles(&self.tiles, views, left_right_px, pool, again(&mut disparity), again(right))?;
+            maps.match_tiles(&self.tiles, params.left_right_px.map(|px| px as f32), pool)?;
         } else {
-            let range = (first_px, params.search.search_px);
-            kernel.match_roi(range, views, roi, pool, again(&mut disparity), right.as_mut().map(again))?;
+            maps.match_roi((first_px, params.search.search_px), roi, is_whole, pool)?;
         }
-        self.lit.clear_map(&mut disparity, false, pool);
-        if let Some(right) = &mut right
-            && (is_whole || right_is_read)
-        {
-            self.lit.clear_map(right, true, pool);
-            self.field.clear_outside(&mut disparity, right, right_is_read, roi, self.lit.clear_parts((width, height)));
+        self.lit.clear_map(maps, 0, size, pool)?;
+        if is_whole || right_is_read {
+            self.lit.clear_map(maps, 1, size, pool)?;
+            self.field.clear_outside(maps, size, roi, self.lit.clear_parts(size), pool)?;
         }
-        self.speckles.remove(&mut disparity, roi, params.speckle_area_px, SPECKLE_STEP_PX);
-        self.strip.fill(views, roi, &mut disparity);
-        self.lit.clear_rim(&mut disparity);
-        self.search.end(report, views, disparity.as_view(), is_whole, &params.search);
-        Ok(())
+        if params.speckle_area_px > 0 {
+            let speckles = &mut self.speckles;
+            maps.change_left(&mut |mut map| {
+                speckles.remove(&mut map, roi, params.speckle_area_px, SPECKLE_STEP_PX);
+            })?;
+        }
+        self.strip.fill(views, maps, roi, pool)?;
+        self.lit.clear_rim(maps, size, pool)?;
+        self.search.end(report, views, maps, is_whole, &params.search)
     }
-}
-
-/// Sets a map to unknown.
-fn clear(map: &mut ViewMut<'_, f32>) {
-    (0..map.height).for_each(|y| map.row_mut(y).fill(f32::NAN));
 }

@@ -195,6 +195,22 @@ impl RemapTable {
         Ok(())
     }
 
+    /// One BGR pixel of what [`RemapTable::remap`] makes of an image whose pixels `source` gives, by column and row.
+    pub fn pixel(&self, x: usize, y: usize, source: impl Fn(usize, usize) -> [u8; 3]) -> [u8; 3] {
+        let mut out = [0; 3];
+        let (column, row) = (x.wrapping_sub(self.roi.x), y.wrapping_sub(self.roi.y));
+        if column >= self.roi.width || row >= self.roi.height {
+            return out;
+        }
+        let at = row * self.roi.width + column;
+        if self.fraction[at] != OUTSIDE {
+            let (x, y) = ((self.corner[at] & 0xffff) as usize, (self.corner[at] >> 16) as usize);
+            let four = [source(x, y), source(x + 1, y), source(x, y + 1), source(x + 1, y + 1)];
+            pixel(View::new(four.as_flattened(), 2, 2, 3), 0, self.fraction[at], &mut out);
+        }
+        out
+    }
+
     fn row(&self, source: View<'_, u8>, corner: &[u32], fraction: &[u16], out: &mut [u8]) {
         let mut done = 0;
         #[cfg(target_arch = "x86_64")]

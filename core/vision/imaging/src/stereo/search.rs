@@ -2,11 +2,12 @@
 
 use super::StereoError;
 use super::offset::Offset;
+use super::pair::{MapSamples, PairViews};
 use super::range_plan::RangePlan;
 use super::survey::{COARSE_WIDTH, FINE_WIDTH, MatchCount, Survey};
 use super::tile::Tile;
 use super::watch::{Searched, Watch};
-use crate::{Parallel, Rect, Report, View};
+use crate::{Parallel, Rect, Report};
 
 /// Calls between two surveys.
 const SURVEY_CALLS: u64 = 4;
@@ -77,23 +78,21 @@ impl Search {
     /// have the same size.
     ///
     /// # Errors
-    /// The same as those of the survey's kernel.
+    /// The same as those of the survey's kernel, and of the views.
     pub fn begin(
         &mut self,
         report: &dyn Report,
-        views: [View<'_, u8>; 2],
+        views: &mut dyn PairViews,
         params: &SearchParams,
         pool: &dyn Parallel,
     ) -> Result<i32, StereoError> {
-        let size = (views[0].width, views[0].height);
+        let size = views.size();
         let is_survey = self.calls.is_multiple_of(SURVEY_CALLS) || size != self.size;
-        self.size = size;
-        self.calls += 1;
         let mut found = None;
         if is_survey {
-            let mut coarse = self.survey.look(views, COARSE_WIDTH, pool)?;
+            let mut coarse = self.survey.look(views, [0, 1], COARSE_WIDTH, pool)?;
             if self.offset.says_nothing(coarse.matched, coarse.pixels) {
-                coarse = self.survey.look(views, FINE_WIDTH, pool)?;
+                coarse = self.survey.look(views, [0, 1], FINE_WIDTH, pool)?;
             }
             self.found_nothing = self.offset.says_nothing(coarse.matched, coarse.pixels);
             self.offset.update(self.survey.counts(), self.survey.bin_px(), coarse.pixels, params.search_px);
@@ -107,13 +106,15 @@ impl Search {
         let known = if params.auto_offset && !stays { self.offset.current_px() } else { None };
         let offset_px = known.unwrap_or(params.min_disparity_px);
         if let Some(found) = found {
-            self.divide(report, views[0], found, offset_px, params);
+            self.divide(report, size, found, offset_px, params);
             self.report_survey(report, views, found, offset_px, params, pool)?;
         }
         if !params.auto_offset {
-            self.watch.blind(report, offset_px, params.search_px, views[0].width);
+            self.watch.blind(report, offset_px, params.search_px, size.0);
         }
         report.metric("offset_px", f64::from(offset_px));
+        // A call that has failed does not count: the next one surveys in its place.
+        (self.size, self.calls) = (size, self.calls + 1);
         Ok(offset_px)
     }
 
@@ -126,7 +127,7 @@ impl Search {
     fn divide(
         &mut self,
         report: &dyn Report,
-        view: View<'_, u8>,
+        (width, height): (usize, usize),
         found: MatchCount,
         offset_px: i32,
         params: &SearchParams,
@@ -139,7 +140,7 @@ impl Search {
             let is_outside = (found.matched - within) * 1000 >= found.pixels * limit;
             let was_tiled = std::mem::replace(&mut self.is_tiled, is_outside);
             if self.is_tiled {
-                self.plan.update(&self.survey, Rect::whole(view.width, view.height));
+                self.plan.update(&self.survey, Rect::whole(width, height));
                 self.watch.cut(report, self.plan.is_cut());
             }
             if self.is_tiled && !was_tiled {
@@ -156,7 +157,7 @@ impl Search {
     fn report_survey(
         &mut self,
         report: &dyn Report,
-        views: [View<'_, u8>; 2],
+        views: &mut dyn PairViews,
         found: MatchCount,
         offset_px: i32,
         params: &SearchParams,
@@ -181,27 +182,26 @@ impl Search {
         self.watch.is_drifted()
     }
 
-    /// Call after matching. `is_whole`: the whole left view was matched, not only a region.
+    /// Call after matching, with the left map. `is_whole`: the whole left view was matched, not only a region.
+    ///
+    /// # Errors
+    /// Those of the views and of the map.
     pub fn end(
         &mut self,
         report: &dyn Report,
-        views: [View<'_, u8>; 2],
-        disparity: View<'_, f32>,
+        views: &mut dyn PairViews,
+        disparity: &mut dyn MapSamples,
         is_whole: bool,
         params: &SearchParams,
-    ) {
+    ) -> Result<(), StereoError> {
         let call = self.calls.saturating_sub(1);
         if call.is_multiple_of(SURVEY_CALLS) {
-            let known_percent = is_whole.then(|| {
-                let known: usize = (0..disparity.height)
-                    .map(|y| disparity.row(y).iter().filter(|value| value.is_finite()).count())
-                    .sum();
-                100.0 * known as f64 / (disparity.width * disparity.height).max(1) as f64
-            });
-            self.watch.poor(report, self.found_nothing, known_percent);
+            let known = if is_whole { Some(disparity.known_share()?) } else { None };
+            self.watch.poor(report, self.found_nothing, known.map(|share| 100.0 * share));
         }
         if call.is_multiple_of(ROWS_CALLS) {
-            self.watch.rows(report, views, disparity, params.drift_px);
+            self.watch.rows(report, views, disparity, params.drift_px)?;
         }
+        Ok(())
     }
 }

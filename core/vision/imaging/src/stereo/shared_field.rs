@@ -6,8 +6,10 @@
 
 use std::ops::Range;
 
+use super::StereoError;
+use super::pair::{PairMaps, RowEdit};
 use crate::lit::LitPart;
-use crate::{Rect, View, ViewMut};
+use crate::{Parallel, Rect, View};
 
 /// Columns at the other view's border whose disparities are used.
 const COLUMNS: usize = 24;
@@ -24,55 +26,70 @@ pub struct SharedField {
     known: Vec<f32>,
     /// Disparity at the border of the right view, and of the left one, for each block of rows; NaN where too little is known.
     borders: [Vec<f32>; 2],
+    edits: Vec<RowEdit>,
 }
 
 impl SharedField {
-    /// Sets pixels left of the shared field to NaN in `disparity` (left view, px, inside `roi`), and, if that map is read, pixels right of it in `right`,
-    /// the right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged. So do rows in which
+    /// Sets pixels left of the shared field to NaN in the left map (px, inside `roi`), and, if the right map is read, pixels right of it there, in the
+    /// rows of `roi`; views have this size. Rows where the other view's border is not matched stay unchanged. So do rows in which
     /// either view begins with a rim: the first columns of one then need not lie within the other. `lit` is what of the left and right view is matched, when
     /// that is not all.
+    ///
+    /// # Errors
+    /// Those of the maps.
     pub fn clear_outside(
         &mut self,
-        disparity: &mut ViewMut<'_, f32>,
-        right: &mut ViewMut<'_, f32>,
-        right_is_read: bool,
+        maps: &mut dyn PairMaps,
+        (width, height): (usize, usize),
         roi: Rect,
         lit: Option<&[LitPart; 2]>,
-    ) {
-        let roi = roi.clamped(disparity.width.min(right.width), disparity.height.min(right.height));
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        let roi = roi.clamped(width, height);
         if roi.is_empty() {
-            return;
+            return Ok(());
         }
         let end = roi.x + roi.width;
         let begins = |y: usize| lit.is_none_or(|parts| parts.iter().all(|part| part.row(y).start < COLUMNS));
         let closes = |y: usize| lit.is_none_or(|parts| parts.iter().all(|part| part.row(y).end + COLUMNS > end));
+        let right_is_read = maps.right_is_read();
         let [first, last] = &mut self.borders;
-        border_disparities(right.as_view(), 0..COLUMNS.min(right.width), begins, roi, &mut self.known, first);
+        border_disparities(maps.columns(1, 0..COLUMNS.min(width))?, begins, roi, &mut self.known, first);
         if right_is_read {
             let columns = end.saturating_sub(COLUMNS).max(roi.x)..end;
-            border_disparities(disparity.as_view(), columns, closes, roi, &mut self.known, last);
+            border_disparities(maps.columns(0, columns)?, closes, roi, &mut self.known, last);
         }
-        for row in 0..roi.height {
-            let y = roi.y + row;
-            // What the right view's first column shows lies `d` columns from the left view's border, and the other way round.
-            if let Some(d) = at_row(&self.borders[0], row).filter(|_| begins(y)) {
-                let until = (d - SLACK_PX).clamp(0.0, end as f32) as usize;
-                if until > roi.x {
-                    disparity.row_mut(y)[roi.x..until].fill(f32::NAN);
-                }
-            }
-            if right_is_read && let Some(d) = at_row(&self.borders[1], row).filter(|_| closes(y)) {
-                let from = (end as f32 - d + SLACK_PX).clamp(0.0, right.width as f32) as usize;
-                right.row_mut(y)[from..].fill(f32::NAN);
-            }
+        // What the right view's first column shows lies `d` columns from the left view's border, and the other way round.
+        let until = |d: f32| (d - SLACK_PX).clamp(0.0, end as f32) as usize;
+        let from = |d: f32| (end as f32 - d + SLACK_PX).clamp(0.0, width as f32) as usize;
+        let edits = &mut self.edits;
+        take_edits(edits, (roi, height), |row| {
+            let d = at_row(&self.borders[0], row).filter(|_| begins(roi.y + row));
+            d.map(until).filter(|until| *until > roi.x).map(|until| until..width)
+        });
+        maps.edit(0, edits, pool)?;
+        if right_is_read {
+            take_edits(edits, (roi, height), |row| {
+                at_row(&self.borders[1], row).filter(|_| closes(roi.y + row)).map(|d| 0..from(d))
+            });
+            maps.edit(1, edits, pool)?;
         }
+        Ok(())
     }
 }
 
-/// Median disparity of `map` in `columns`, for each block of the region's rows, over those that `counts`.
+/// Sets the columns that stay in the region's rows; all stay in the others and where there is no answer.
+fn take_edits(edits: &mut Vec<RowEdit>, (roi, height): (Rect, usize), keep: impl Fn(usize) -> Option<Range<usize>>) {
+    edits.clear();
+    edits.resize(height, RowEdit::NONE);
+    for (row, edit) in edits[roi.y..roi.y + roi.height].iter_mut().enumerate() {
+        *edit = keep(row).map_or(RowEdit::NONE, RowEdit::keep);
+    }
+}
+
+/// Median disparity of these columns of a map, for each block of the region's rows, over those that `counts`.
 fn border_disparities(
-    map: View<'_, f32>,
-    columns: Range<usize>,
+    columns: View<'_, f32>,
     counts: impl Fn(usize) -> bool,
     roi: Rect,
     known: &mut Vec<f32>,
@@ -85,9 +102,9 @@ fn border_disparities(
     for block in 0..blocks {
         known.clear();
         let rows = roi.y + block * BLOCK_ROWS..(roi.y + (block + 1) * BLOCK_ROWS).min(roi.y + roi.height);
-        let pixels = rows.len() * columns.len();
+        let pixels = rows.len() * columns.width;
         for y in rows.filter(|y| counts(*y)) {
-            known.extend(map.row(y)[columns.clone()].iter().copied().filter(|d| d.is_finite()));
+            known.extend(columns.row(y).iter().copied().filter(|d| d.is_finite()));
         }
         let middle = known.len() / 2;
         let enough = known.len() * MIN_SHARE >= pixels.max(1);
@@ -121,8 +138,15 @@ pub(crate) fn is_seen_by_both(x: usize, value: f32, width: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Serial;
+    use crate::stereo::pair::testing::with_maps;
 
     const SIZE: (usize, usize) = (120, 70);
+
+    fn clear(maps: [&mut Vec<f32>; 2], right_is_read: bool, roi: Rect, lit: Option<&[LitPart; 2]>) {
+        let mut field = SharedField::default();
+        with_maps(maps, SIZE, right_is_read, |maps| field.clear_outside(maps, SIZE, roi, lit, &Serial));
+    }
 
     #[test]
     fn what_only_one_camera_sees_is_cleared() {
@@ -150,15 +174,7 @@ mod tests {
             }
         }
         let (map, map_right) = (left.clone(), right.clone());
-        let mut field = SharedField::default();
-        let left_view = &mut ViewMut::new(&mut left, SIZE.0, SIZE.1, 1);
-        field.clear_outside(
-            left_view,
-            &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1),
-            true,
-            Rect::whole(SIZE.0, SIZE.1),
-            None,
-        );
+        clear([&mut left, &mut right], true, Rect::whole(SIZE.0, SIZE.1), None);
         for y in 0..SIZE.1 {
             let at = y * SIZE.0..(y + 1) * SIZE.0;
             let (row, before) = (&left[at.clone()], &map[at.clone()]);
@@ -181,9 +197,7 @@ mod tests {
         (0..32).for_each(|y| right_part.set_row(y, 40..SIZE.0));
         let parts = [LitPart::whole(SIZE.0, SIZE.1), right_part];
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
-        let [left, right] = &mut maps;
-        let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-        SharedField::default().clear_outside(left, right, false, Rect::whole(SIZE.0, SIZE.1), Some(&parts));
+        clear(maps.each_mut(), false, Rect::whole(SIZE.0, SIZE.1), Some(&parts));
         for (y, row) in maps[0].chunks_exact(SIZE.0).enumerate() {
             assert_eq!(row.iter().position(|d| d.is_finite()), Some(if y < 32 { 0 } else { 7 }), "row {y}");
         }
@@ -194,10 +208,7 @@ mod tests {
         for unknown in 0..2 {
             let mut maps = [vec![5.0f32; SIZE.0 * SIZE.1], vec![5.0f32; SIZE.0 * SIZE.1]];
             maps[unknown].fill(f32::NAN);
-            let [left, right] = &mut maps;
-            let (left, right) =
-                (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-            SharedField::default().clear_outside(left, right, true, Rect::whole(SIZE.0, SIZE.1), None);
+            clear(maps.each_mut(), true, Rect::whole(SIZE.0, SIZE.1), None);
             assert!(maps[1 - unknown].iter().all(|d| *d == 5.0));
         }
     }
@@ -205,9 +216,7 @@ mod tests {
     #[test]
     fn other_rows_stay() {
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
-        let [left, right] = &mut maps;
-        let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-        SharedField::default().clear_outside(left, right, true, Rect { x: 0, y: 20, width: SIZE.0, height: 30 }, None);
+        clear(maps.each_mut(), true, Rect { x: 0, y: 20, width: SIZE.0, height: 30 }, None);
         for map in &maps {
             for (y, row) in map.chunks_exact(SIZE.0).enumerate() {
                 let gone = row.iter().filter(|d| d.is_nan()).count();

@@ -3,7 +3,7 @@
 //! The views are shrunk to about 160 columns and matched from 0 px to their full width, so that
 //! the shared region is found wherever it is. The cost is a small part of one full-size search.
 
-use super::{BlockMatcher, BlockMatchingParams, StereoError};
+use super::{BlockMatcher, BlockMatchingParams, PairViews, StereoError};
 use crate::{Parallel, Rect, View, ViewMut};
 
 /// Approximate number of columns of a shrunk view.
@@ -88,18 +88,20 @@ impl Survey {
         Some((below(1)? * self.factor, below(9)? * self.factor))
     }
 
-    /// Matches the views shrunk to about `columns` columns. `left` and `right` have the same size.
+    /// Matches the views shrunk to about `columns` columns: view `sides[0]` as the left one, `sides[1]` as the right one.
     ///
     /// # Errors
-    /// The same as those of the kernel.
+    /// The same as those of the kernel, and of the views.
     pub fn look(
         &mut self,
-        [left, right]: [View<'_, u8>; 2],
+        views: &mut dyn PairViews,
+        sides: [usize; 2],
         columns: usize,
         pool: &dyn Parallel,
     ) -> Result<MatchCount, StereoError> {
-        self.factor = (left.width + columns / 2).div_euclid(columns).max(1);
-        let (width, height) = (left.width / self.factor, left.height / self.factor);
+        let (width, height) = views.size();
+        self.factor = (width + columns / 2).div_euclid(columns).max(1);
+        let (width, height) = (width / self.factor, height / self.factor);
         self.counts.clear();
         self.counts.resize(width, 0);
         self.size = (width, height);
@@ -108,8 +110,8 @@ impl Survey {
         if width < 16 || height < 16 {
             return Ok(MatchCount { matched: 0, pixels: width * height });
         }
-        for (view, plane) in [left, right].into_iter().zip(&mut self.planes) {
-            shrink(view, self.factor, width, height, plane);
+        for (side, plane) in sides.into_iter().zip(&mut self.planes) {
+            views.shrink(side, self.factor, plane)?;
         }
         self.disparity.resize(width * height, f32::NAN);
         let wanted = params(width);
@@ -154,21 +156,5 @@ fn params(width: usize) -> BlockMatchingParams {
         uniqueness_percent: 10,
         left_right_px: Some(1),
         ..BlockMatchingParams::default()
-    }
-}
-
-/// Means of `factor` x `factor` px.
-fn shrink(view: View<'_, u8>, factor: usize, width: usize, height: usize, plane: &mut Vec<u8>) {
-    plane.resize(width * height, 0);
-    let area = (factor * factor) as u32;
-    for (row, out) in plane.chunks_exact_mut(width).enumerate() {
-        for (column, out) in out.iter_mut().enumerate() {
-            let mut sum = area / 2;
-            for y in row * factor..(row + 1) * factor {
-                let pixels = &view.row(y)[column * factor..(column + 1) * factor];
-                sum += pixels.iter().map(|value| u32::from(*value)).sum::<u32>();
-            }
-            *out = (sum / area) as u8;
-        }
     }
 }

@@ -3,8 +3,9 @@
 
 use super::StereoError;
 use super::epipolar::Epipolar;
+use super::pair::{MapSamples, PairViews};
 use super::survey::{COARSE_WIDTH, MatchCount, Survey};
-use crate::{Parallel, Report, View};
+use crate::{Parallel, Report};
 
 /// A drift warning ends when the error falls below this part of the limit.
 const RECOVERED: f32 = 0.7;
@@ -72,18 +73,18 @@ impl Watch {
     /// Checks after a survey with few matches whether the swapped views match. Views that match in neither order, such as dark ones, decide nothing.
     ///
     /// # Errors
-    /// The same as those of the kernel.
+    /// The same as those of the kernel, and of the views.
     pub fn swapped(
         &mut self,
         cx: &dyn Report,
         survey: &mut Survey,
         found: MatchCount,
-        views: [View<'_, u8>; 2],
+        views: &mut dyn PairViews,
         pool: &dyn Parallel,
     ) -> Result<(), StereoError> {
         // A pair in the right order matches most of its shared region.
         let few = found.matched * 4 < found.pixels;
-        let swapped = few.then(|| survey.look([views[1], views[0]], COARSE_WIDTH, pool)).transpose()?;
+        let swapped = few.then(|| survey.look(views, [1, 0], COARSE_WIDTH, pool)).transpose()?;
         let is_clear =
             |of: MatchCount, other: MatchCount| of.matched > 3 * other.matched && of.matched * 10 > of.pixels;
         let swapped = match swapped {
@@ -184,8 +185,17 @@ impl Watch {
     }
 
     /// Measures the vertical error of matched points and warns when it exceeds `limit_px`; 0 disables the warning.
-    pub fn rows(&mut self, cx: &dyn Report, views: [View<'_, u8>; 2], disparity: View<'_, f32>, limit_px: f32) {
-        let Some(measured) = self.epipolar.measure(views[0], views[1], disparity) else { return };
+    ///
+    /// # Errors
+    /// Those of the views and of the map.
+    pub fn rows(
+        &mut self,
+        cx: &dyn Report,
+        views: &mut dyn PairViews,
+        disparity: &mut dyn MapSamples,
+        limit_px: f32,
+    ) -> Result<(), StereoError> {
+        let Some(measured) = self.epipolar.measure(views, disparity)? else { return Ok(()) };
         let error = self.error_px.map_or(measured, |error| error + (measured - error) * DRIFT_STEP);
         self.error_px = Some(error);
         cx.metric("epipolar_px", f64::from(error));
@@ -199,5 +209,6 @@ impl Watch {
             cx.info(&format!("matched points lie on their rows again ({error:.1} px)"));
         }
         cx.metric("drifted", f64::from(u8::from(self.drifted)));
+        Ok(())
     }
 }

@@ -1,0 +1,321 @@
+//! Views and maps of a pair that stay on the GPU while they are matched.
+//!
+//! The processor decides, as for frames in its own memory, from small parts that it reads: shrunk views at each survey,
+//! columns at the borders of the maps. It reads both views as a whole when it measures their rows, at each eighth call,
+//! and the left map when speckles are removed.
+
+use std::ops::Range;
+
+use panoscope_imaging::stereo::{
+    BlockMatchingParams, MapSamples, PairMaps, PairMatcher, PairParams, PairViews, RowEdit, StereoError, Tile,
+};
+use panoscope_imaging::{Parallel, Rect, Report, View, ViewMut};
+use panoscope_node::device::{DeviceImage, Gpu, Kernel, Steps, Store, bytes_of_words};
+use panoscope_node::{NodeError, Result};
+
+use super::block_matching::GpuBlockMatcher;
+
+/// Size of what a shader reads about a call, bytes.
+const SIZE_BYTES: usize = 32;
+/// Words of a row's edit.
+const ROW_WORDS: usize = 7;
+/// Rows per workgroup, and threads of it, of the shader that projects a map, as the dispatch counts threads.
+const PROJECT_THREADS: [usize; 2] = [32, 4];
+/// Distance of the pixels by which the known share of a map is estimated.
+const SHARE_STEP_PX: usize = 8;
+
+fn failed(error: NodeError) -> StereoError {
+    StereoError::Device { reason: error.to_string() }
+}
+
+/// Reads small parts of images. Keeps its memory.
+#[derive(Debug)]
+struct Sampler {
+    gpu: Gpu,
+    kernel: Kernel,
+    sizes: Store,
+    result: Store,
+    found: Vec<u32>,
+}
+
+impl Sampler {
+    fn new(gpu: Gpu) -> Result<Self> {
+        let kernel = gpu.kernel("pair sample", &[include_str!("pair_sample.wgsl")])?;
+        Ok(Self { gpu, kernel, sizes: Store::default(), result: Store::default(), found: Vec::new() })
+    }
+
+    /// Each `step`-th pixel of `area`, or, for pixels of one byte, the mean of each whole block: one word each, row after
+    /// row.
+    fn read(&mut self, image: &DeviceImage, pixel_bytes: usize, area: Rect, step: usize) -> Result<&[u32]> {
+        let (width, height) = match pixel_bytes {
+            1 => (area.width / step, area.height / step),
+            _ => (area.width.div_ceil(step), area.height.div_ceil(step)),
+        };
+        self.found.resize(width * height, 0);
+        if width * height > 0 {
+            let words = [width, height, area.x, area.y, step, image.stride_bytes, pixel_bytes, 0].map(|n| n as u32);
+            let (sizes, result) =
+                (self.sizes.reserve(self.gpu, SIZE_BYTES)?, self.result.reserve(self.gpu, 4 * width * height)?);
+            let words = bytes_of_words(&words);
+            let mut steps = Steps::default();
+            steps.write(sizes, 0, &words);
+            steps.run(&self.kernel, &[sizes, image.buffer, result], [width, height]);
+            self.gpu.submit(&steps)?;
+            self.gpu.read_plain(result, &mut self.found)?;
+        }
+        Ok(&self.found)
+    }
+
+    /// As [`Self::read`], of gray values.
+    fn bytes(&mut self, image: &DeviceImage, area: Rect, step: usize, out: &mut Vec<u8>) -> Result<(), StereoError> {
+        let found = self.read(image, 1, area, step).map_err(failed)?;
+        out.clear();
+        out.extend(found.iter().map(|value| *value as u8));
+        Ok(())
+    }
+
+    /// As [`Self::read`], of disparities.
+    fn floats(&mut self, image: &DeviceImage, area: Rect, step: usize, out: &mut Vec<f32>) -> Result<(), StereoError> {
+        let found = self.read(image, 4, area, step).map_err(failed)?;
+        out.clear();
+        out.extend(found.iter().map(|bits| f32::from_bits(*bits)));
+        Ok(())
+    }
+}
+
+/// A gray pair on the GPU.
+pub struct ViewsThere<'a> {
+    /// The left and the right view, of one size.
+    pub images: [DeviceImage; 2],
+    /// Copies both into the host's memory.
+    pub fetch: &'a dyn Fn() -> [View<'a, u8>; 2],
+}
+
+/// [`ViewsThere`] with what reads them.
+struct DeviceViews<'a, 'v> {
+    given: ViewsThere<'v>,
+    sampler: &'a mut Sampler,
+    strips: &'a mut [Vec<u8>; 2],
+}
+
+impl PairViews for DeviceViews<'_, '_> {
+    fn size(&self) -> (usize, usize) {
+        (self.given.images[0].width, self.given.images[0].height)
+    }
+
+    fn shrink(&mut self, side: usize, factor: usize, plane: &mut Vec<u8>) -> Result<(), StereoError> {
+        let (width, height) = self.size();
+        self.sampler.bytes(&self.given.images[side], Rect::whole(width, height), factor, plane)
+    }
+
+    fn border(&mut self, columns: usize) -> Result<[View<'_, u8>; 2], StereoError> {
+        let (width, height) = self.size();
+        for (side, strip) in self.strips.iter_mut().enumerate() {
+            let area = Rect::new(if side == 0 { width - columns } else { 0 }, 0, columns, height);
+            self.sampler.bytes(&self.given.images[side], area, 1, strip)?;
+        }
+        Ok(self.strips.each_ref().map(|strip| View::new(&strip[..], columns, height, 1)))
+    }
+
+    fn whole(&mut self) -> Result<[View<'_, u8>; 2], StereoError> {
+        Ok((self.given.fetch)())
+    }
+}
+
+/// Kernels that change maps, and memory of the host.
+#[derive(Debug)]
+struct MapWork {
+    gpu: Gpu,
+    edit: Kernel,
+    project: Kernel,
+    sampler: Sampler,
+    sizes: Store,
+    edits: [Store; 2],
+    /// The right map when nobody reads it.
+    spare: Store,
+    floats: Vec<f32>,
+    words: Vec<u32>,
+}
+
+/// Maps on the GPU: rows of [`DeviceImage::stride_bytes`].
+struct DeviceMaps<'a> {
+    matcher: &'a mut GpuBlockMatcher,
+    work: &'a mut MapWork,
+    views: [DeviceImage; 2],
+    params: &'a BlockMatchingParams,
+    maps: [DeviceImage; 2],
+    right_is_read: bool,
+}
+
+impl DeviceMaps<'_> {
+    fn size(&self) -> (usize, usize) {
+        (self.maps[0].width, self.maps[0].height)
+    }
+
+    fn edit_map(&mut self, side: usize, rows: &[RowEdit]) -> Result<()> {
+        let (gpu, map) = (self.work.gpu, self.maps[side]);
+        let step = usize::from(rows.len() > 1);
+        let head = [map.width, map.height, map.stride_bytes / 4, side, step, 0, 0, 0].map(|n| n as u32);
+        let words = &mut self.work.words;
+        words.clear();
+        words.extend(head);
+        for edit in rows {
+            let [first, last] = edit.there.map(f32::to_bits);
+            let row = [edit.keep[0], edit.keep[1], first, last, edit.from, edit.value.to_bits()];
+            words.extend(row.into_iter().chain([u32::from(edit.overwrites)]));
+        }
+        let call = self.work.edits[side].reserve(gpu, 4 * (head.len() + ROW_WORDS * rows.len()))?;
+        let mut steps = Steps::default();
+        steps.write_plain(call, 0, words);
+        steps.run(&self.work.edit, &[call, map.buffer], [map.width, map.height]);
+        gpu.submit(&steps)
+    }
+
+    fn project(&mut self, left_right_px: Option<f32>) -> Result<()> {
+        let (gpu, [left, right]) = (self.work.gpu, self.maps);
+        let sizes = [left.width, left.height, left.stride_bytes / 4, right.stride_bytes / 4].map(|n| n as u32);
+        let words = bytes_of_words(&[&sizes[..], &[left_right_px.unwrap_or(-1.0).to_bits()]].concat());
+        let call = self.work.sizes.reserve(gpu, SIZE_BYTES)?;
+        let mut steps = Steps::default();
+        steps.write(call, 0, &words);
+        let threads = [PROJECT_THREADS[0], PROJECT_THREADS[1] * left.height];
+        steps.run(&self.work.project, &[call, left.buffer, right.buffer], threads);
+        gpu.submit(&steps)
+    }
+}
+
+impl MapSamples for DeviceMaps<'_> {
+    fn samples(&mut self, area: Rect, step: usize, out: &mut Vec<f32>) -> Result<(), StereoError> {
+        self.work.sampler.floats(&self.maps[0], area, step, out)
+    }
+
+    fn known_share(&mut self) -> Result<f64, StereoError> {
+        let (width, height) = self.size();
+        let MapWork { sampler, floats, .. } = &mut *self.work;
+        sampler.floats(&self.maps[0], Rect::whole(width, height), SHARE_STEP_PX, floats)?;
+        let known = floats.iter().filter(|value| value.is_finite()).count();
+        Ok(known as f64 / floats.len().max(1) as f64)
+    }
+}
+
+impl PairMaps for DeviceMaps<'_> {
+    fn right_is_read(&self) -> bool {
+        self.right_is_read
+    }
+
+    fn match_roi(
+        &mut self,
+        (min_disparity_px, search_px): (i32, usize),
+        roi: Rect,
+        right_is_needed: bool,
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        let has_right = right_is_needed || self.right_is_read;
+        for side in 0..=usize::from(has_right) {
+            self.edit(side, &[RowEdit::CLEAR], pool)?;
+        }
+        let params = BlockMatchingParams { min_disparity_px, search_px, ..self.params.clone() };
+        params.validate()?;
+        let maps = [Some(self.maps[0]), has_right.then_some(self.maps[1])];
+        self.matcher.compute_there(&params, self.views, roi, maps).map_err(failed)
+    }
+
+    fn match_tiles(
+        &mut self,
+        tiles: &[Tile],
+        left_right_px: Option<f32>,
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        self.edit(0, &[RowEdit::CLEAR], pool)?;
+        self.matcher.compute_tiles_there(self.params, self.views, tiles, self.maps[0]).map_err(failed)?;
+        self.project(left_right_px).map_err(failed)
+    }
+
+    fn edit(&mut self, side: usize, rows: &[RowEdit], _: &dyn Parallel) -> Result<(), StereoError> {
+        self.edit_map(side, rows).map_err(failed)
+    }
+
+    fn columns(&mut self, side: usize, columns: Range<usize>) -> Result<View<'_, f32>, StereoError> {
+        let (_, height) = self.size();
+        let MapWork { sampler, floats, .. } = &mut *self.work;
+        sampler.floats(&self.maps[side], Rect::new(columns.start, 0, columns.len(), height), 1, floats)?;
+        Ok(View::new(floats, columns.len(), height, 1))
+    }
+
+    fn change_left(&mut self, change: &mut dyn FnMut(ViewMut<'_, f32>)) -> Result<(), StereoError> {
+        let DeviceImage { buffer, width, height, stride_bytes } = self.maps[0];
+        let MapWork { gpu, floats, .. } = &mut *self.work;
+        let stride = stride_bytes / 4;
+        floats.resize(stride * height, f32::NAN);
+        gpu.read_plain(buffer, floats).map_err(failed)?;
+        change(ViewMut::with_stride(floats, width, height, 1, stride));
+        let mut steps = Steps::default();
+        steps.write_plain(buffer, 0, floats);
+        gpu.submit(&steps).map_err(failed)
+    }
+}
+
+/// Matches pairs that stay on the GPU.
+#[derive(Debug)]
+pub struct GpuPairMatcher {
+    /// Matches views in the host's memory, too.
+    pub blocks: GpuBlockMatcher,
+    views: Sampler,
+    strips: [Vec<u8>; 2],
+    work: MapWork,
+}
+
+impl GpuPairMatcher {
+    /// Prepares the GPU.
+    ///
+    /// # Errors
+    /// It rejects a shader.
+    pub fn new(gpu: Gpu) -> Result<Self> {
+        let edit = gpu.kernel("pair edit", &[include_str!("pair_edit.wgsl")])?;
+        let project = gpu.kernel("pair project", &[include_str!("pair_project.wgsl")])?;
+        let (sizes, edits, spare, floats, words) = Default::default();
+        let sampler = Sampler::new(gpu)?;
+        let work = MapWork { gpu, edit, project, sampler, sizes, edits, spare, floats, words };
+        let strips = Default::default();
+        Ok(Self { blocks: GpuBlockMatcher::new(gpu)?, views: Sampler::new(gpu)?, strips, work })
+    }
+
+    /// As [`PairMatcher::compute`], with `pair`, block matching by these parameters, and views and maps on the GPU, all
+    /// of one size. Does not wait for the maps.
+    ///
+    /// # Errors
+    /// [`StereoError::Device`] when the GPU failed; a parameter out of range.
+    pub fn compute(
+        &mut self,
+        pair: &mut PairMatcher,
+        report: &dyn Report,
+        views: ViewsThere<'_>,
+        roi: Rect,
+        (params, pair_params): (&BlockMatchingParams, &PairParams),
+        pool: &dyn Parallel,
+        left: DeviceImage,
+        right: Option<DeviceImage>,
+    ) -> Result<(), StereoError> {
+        let images = views.images;
+        let DeviceImage { width, height, .. } = images[0];
+        let stride_bytes = DeviceImage::stride_bytes(width, 4);
+        let right_is_read = right.is_some();
+        let right = match right {
+            Some(right) => right,
+            None => {
+                let buffer = self.work.spare.reserve(self.work.gpu, stride_bytes * height).map_err(failed)?;
+                DeviceImage { buffer, width, height, stride_bytes }
+            }
+        };
+        let mut views = DeviceViews { given: views, sampler: &mut self.views, strips: &mut self.strips };
+        let mut maps = DeviceMaps {
+            matcher: &mut self.blocks,
+            work: &mut self.work,
+            views: images,
+            params,
+            maps: [left, right],
+            right_is_read,
+        };
+        pair.compute_in(report, &mut views, &mut maps, roi, pair_params, pool)
+    }
+}
