@@ -178,6 +178,35 @@ fn panoramas_of_views_on_the_gpu_are_made_there() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
+/// Views with padded rows on the GPU, of which one is counted and summed up.
+const DIGEST: &str = r#"
+mode = "batch"
+plugins = ["flow", "phantom", "stereo"]
+[nodes.scope]
+type = "phantom"
+params = { width = 322, height = 242 }
+[nodes.views]
+type = "rectify"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+params = { scale = 2, device = "DEVICE" }
+[nodes.end]
+type = "drain"
+inputs = { image = "views.left" }
+params = { digest = true }
+"#;
+
+#[test]
+fn a_digest_does_not_depend_on_the_device() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-digest");
+    let [cpu, gpu] = ["cpu", "gpu"].map(|device| plain(&folder, &DIGEST.replace("DEVICE", device)).nodes);
+    assert_eq!(gpu["end"].metrics["digest"], cpu["end"].metrics["digest"]);
+    assert_eq!(gpu["end"].copies, FRAMES, "what is summed up is read");
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
 #[test]
 fn a_device_can_be_changed_while_the_graph_runs() {
     if !has_device() {

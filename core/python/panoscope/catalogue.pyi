@@ -1246,7 +1246,7 @@ class NodeTypes:
         """Counts frames and releases them.
 
         image: The frame to forward.
-        digest: Reads all bytes and reports a digest of all frames received, as the metric `digest`. (default False)"""
+        digest: Reads all pixels and reports a digest of all frames received, as the metric `digest`. (default False)"""
 
     def drain_blocking(
         self,
@@ -1259,7 +1259,7 @@ class NodeTypes:
         """Counts frames and releases them, on its own thread.
 
         image: The frame to forward.
-        digest: Reads all bytes and reports a digest of all frames received, as the metric `digest`. (default False)"""
+        digest: Reads all pixels and reports a digest of all frames received, as the metric `digest`. (default False)"""
 
     def evaluate_arm(
         self,

@@ -264,6 +264,13 @@ impl<'f> AnyImage<'f> {
         self.frame.height as usize
     }
 
+    /// The bytes of each row, without padding.
+    pub fn rows(&self) -> impl Iterator<Item = &'f [u8]> + use<'f> {
+        let frame = self.frame;
+        let (all, row) = (bytes(frame), self.width() * format::pixel_bytes(frame.format));
+        (0..self.height()).map(move |y| &all[y * frame.stride_bytes as usize..][..row])
+    }
+
     /// The frame as the host describes it.
     pub fn frame(&self) -> &'f abi::Frame {
         self.frame
