@@ -1879,6 +1879,7 @@ class NodeTypes:
         line_px: Number = ...,
         mask_alpha: Number = ...,
         offset_px: Numbers = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Overlay:
@@ -1919,7 +1920,8 @@ class NodeTypes:
         text_scale: Scale of text: capital letters are six times as many px high. (0.5 to 20; default 2)
         line_px: Width of lines. (0.5 to 20 px; default 2)
         mask_alpha: Opacity of masks. (0 to 1 ratio; default 0.4)
-        offset_px: Offset added to all coordinates, x and y in px: the position of the left view's corner in the image. (px; default [])"""
+        offset_px: Offset added to all coordinates, x and y in px: the position of the left view's corner in the image. (px; default [])
+        device: Where the image and the bar below it are joined. A GPU does it with an image that was made there, is not enlarged and has nothing drawn on it: the result stays there. All else is drawn by the processor, which does everything without a GPU, with a warning. (default "cpu")"""
 
     def pass_(
         self,
@@ -2418,6 +2420,7 @@ class NodeTypes:
         titles: Text = ...,
         text_scale: Number = ...,
         max_age_ms: Whole = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Screen:
@@ -2431,7 +2434,8 @@ class NodeTypes:
         gap_px: Margin around images on a screen 720 px high; it grows with the screen. (0 to 64 px; default 4)
         titles: Titles separated by semicolons, the large image's first. Each is in a strip below its image; an image without a title has no strip. (default "")
         text_scale: Scale of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high. (0.5 to 20; default 2)
-        max_age_ms: Age of its light from which an image is dimmed and framed, with its age in the middle. 0 shows every image as it is. (0 to 60000 ms; default 1000)"""
+        max_age_ms: Age of its light from which an image is dimmed and framed, with its age in the middle. 0 shows every image as it is. (0 to 60000 ms; default 1000)
+        device: What brings images to the size of their places. A GPU does it with bgr8 images that were made there and are larger than their places: only the small images are read. All other images are placed by the processor, which does everything without a GPU, with a warning. (default "cpu")"""
 
     def side_by_side(
         self,

@@ -194,6 +194,12 @@ impl<'f, P: Plane> Image<'f, P> {
         View::with_stride(data, self.width(), self.height(), P::CHANNELS, stride)
     }
 
+    /// Whether the image was made on the GPU, so that [`Self::view`] copies it to the host's memory if nobody read it
+    /// there before.
+    pub fn is_from_device(&self) -> bool {
+        self.frame.buffer.home == abi::HOME_DEVICE
+    }
+
     /// The buffer on the GPU with these pixels: copied there if they are not there yet.
     pub fn on_device(&self) -> Result<DeviceImage> {
         DeviceImage::of(self.frame)
