@@ -836,6 +836,7 @@ class NodeTypes:
         scale_bar: Flag = ...,
         scale_beside: Flag = ...,
         wanted_width: Whole = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Colorize:
@@ -850,7 +851,8 @@ class NodeTypes:
         colors: Colour map. (default "rainbow")
         scale_bar: Draws the colour scale with its values. (default True)
         scale_beside: Puts the scale in a strip to the right of the map instead of on it: the image is wider, and its coordinates do not change. (default False)
-        wanted_width: Width to which a small map with its scale next to it is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)"""
+        wanted_width: Width to which a small map with its scale next to it is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)
+        device: What paints the map. A GPU paints a map that was made there, is not enlarged and has no scale on it: the image stays there, and only a sample of the map is read. All else is painted by the processor, which does everything without a GPU, with a warning. (default "cpu")"""
 
     def composite(
         self,

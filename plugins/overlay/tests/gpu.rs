@@ -12,7 +12,8 @@ use panoscope_imaging::{View, ViewMut};
 use panoscope_node::abi::{self, Device, DeviceStep, Roi, Status};
 use panoscope_node::device::{DeviceImage, Steps};
 use panoscope_node::harness::{Harness, Level, Setup, lend_device};
-use panoscope_node::{Bgr8, Node};
+use panoscope_node::{Bgr8, Depth, Node};
+use panoscope_overlay::colorize::Colorize;
 use panoscope_overlay::gpu::fit::{DeviceFit, FitJob};
 use panoscope_overlay::overlay::Overlay;
 use panoscope_overlay::screen::Screen;
@@ -148,6 +149,34 @@ fn images_with_a_bar_do_not_depend_on_the_device() {
     });
 }
 
+/// A tick of `colorize`: depths with unknown ones and ones beyond the range.
+fn colorize(node: &mut Harness<Colorize>, shift: f32) -> Vec<u8> {
+    let (width, height) = (301, 143);
+    let depth = |k: usize| match k % 97 {
+        0 => f32::NAN,
+        1 => f32::INFINITY,
+        2 => -f32::INFINITY,
+        3 => -1e9,
+        4 => 1e9,
+        _ => shift + 40.0 + (k % width) as f32 * 0.1 + (k / width) as f32 * 0.2,
+    };
+    let depths: Vec<f32> = (0..width * height).map(depth).collect();
+    node.input_image_from_device::<Depth>("depth", width, height, &depths);
+    rows(node)
+}
+
+#[test]
+fn maps_in_colours_do_not_depend_on_the_device() {
+    for params in [
+        ", scale_beside = true",
+        ", scale_beside = true, low = 45.0, high = 60.0, colors = \"viridian\"",
+        ", scale_bar = false, colors = \"gray\"",
+        "",
+    ] {
+        check::<Colorize>(params, 4, |node, at| colorize(node, [0.0, 0.5, 300.0, 301.0][at]));
+    }
+}
+
 /// Submissions until [`breaking`] fails.
 static LEFT: AtomicI32 = AtomicI32::new(i32::MAX);
 
@@ -194,4 +223,6 @@ fn the_processor_makes_images_that_the_device_loses() {
     // The harness copies two images to the GPU, the node submits all its work at once.
     check_lost::<Screen>(", width = 641, height = 359", 3, |node| screen(node, 0));
     check_lost::<Overlay>(BELOW, 2, |node| overlay(node, "12 mm", 0));
+    // The map, the sample, the colours.
+    check_lost::<Colorize>(", scale_beside = true", 3, |node| colorize(node, 0.0));
 }

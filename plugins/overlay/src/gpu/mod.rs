@@ -1,6 +1,7 @@
 //! Work of the nodes on the GPU.
 
 pub mod below;
+pub mod colors;
 pub mod fit;
 
 use panoscope_imaging::Report;
