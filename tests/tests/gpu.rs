@@ -1,6 +1,7 @@
 //! Graphs whose frames stay on the GPU: the same bytes, copies only where the other side reads, also with live changes and isolated nodes.
 //! Mesa's Vulkan driver plays the GPU on the processor.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use panoscope_engine::memory::{DeviceMemory, open_device_by};
@@ -113,6 +114,34 @@ inputs = { image = "bent.panorama" }
 fn panoramas(masks: &str, wide: &str, reader: &str) -> String {
     PANORAMAS.replace("MASKS", masks).replace("WIDE", wide).replace("READER", reader)
 }
+
+/// A panorama that was made on the GPU with text below it, on a screen next to a view from there and one from the host.
+const SCREEN: &str = r#"
+mode = "batch"
+plugins = ["flow", "phantom", "stereo", "stitch", "overlay"]
+[nodes.scope]
+type = "phantom"
+params = { width = 321, height = 241, distortion_k1 = -0.1 }
+[nodes.views]
+type = "rectify"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+params = { device = "gpu" }
+[nodes.wide]
+type = "composite"
+inputs = { left = "views.left", right = "views.right", homography = "scope.homography" }
+params = { device = "gpu" }
+[nodes.state]
+type = "overlay"
+inputs = { image = "wide.panorama", homography = "scope.homography", text = "wide.gain_text" }
+params = { label = "panorama", show_outline = false, words = "below", max_aspect = 1.45, device = "DEVICE" }
+[nodes.screen]
+type = "screen"
+inputs = { main = "state.image", side = ["views.left", "scope.right"] }
+params = { width = 240, height = 135, device = "DEVICE" }
+[nodes.end]
+type = "drain"
+inputs = { image = "screen.image" }
+"#;
 
 /// Offers the device that the processor plays; `false`, reported as a skip, without one.
 fn has_device() -> bool {
@@ -231,6 +260,58 @@ fn depth_at_full_size_stays_on_the_gpu() {
     let open = cloud.replace("\"gpu\" }\n[nodes.length]", "\"gpu\", max_hole = 0.0 }\n[nodes.length]");
     assert_ne!(open, cloud);
     check(&plain(&folder, &open), 0);
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn a_panorama_on_the_gpu_reaches_the_screen_without_being_read() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-screen");
+    let texts = ["cpu", "gpu"].map(|device| SCREEN.replace("DEVICE", device));
+    let [cpu, gpu] = texts.each_ref().map(|text| {
+        let copies = plain(&folder, text).nodes.into_iter().map(|(node, seen)| (node, seen.copies));
+        copies.filter(|(_, copies)| *copies > 0).collect::<BTreeMap<_, _>>()
+    });
+    let counts = |list: &[(&str, u64)]| list.iter().map(|(node, copies)| ((*node).to_owned(), *copies)).collect();
+    // Both views reach the GPU. The processor reads the panorama for the bar, and the view for the screen.
+    assert_eq!(cpu, counts(&[("views", 2 * FRAMES), ("state", FRAMES), ("screen", FRAMES)]));
+    assert_eq!(gpu, counts(&[("views", 2 * FRAMES)]));
+    let [cpu, gpu] = texts.each_ref().map(|text| disturbed(&folder, text));
+    for port in ["state.image", "screen.image"] {
+        assert_eq!(gpu.port(port), cpu.port(port), "{port}");
+        assert_eq!(gpu.port(port).len(), FRAMES as usize, "{port}");
+    }
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// Views with padded rows on the GPU, of which one is counted and summed up.
+const DIGEST: &str = r#"
+mode = "batch"
+plugins = ["flow", "phantom", "stereo"]
+[nodes.scope]
+type = "phantom"
+params = { width = 322, height = 242 }
+[nodes.views]
+type = "rectify"
+inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
+params = { scale = 2, device = "DEVICE" }
+[nodes.end]
+type = "drain"
+inputs = { image = "views.left" }
+params = { digest = true }
+"#;
+
+#[test]
+fn a_digest_does_not_depend_on_the_device() {
+    if !has_device() {
+        return;
+    }
+    let folder = scratch("gpu-digest");
+    let [cpu, gpu] = ["cpu", "gpu"].map(|device| plain(&folder, &DIGEST.replace("DEVICE", device)).nodes);
+    assert_eq!(gpu["end"].metrics["digest"], cpu["end"].metrics["digest"]);
+    assert_eq!(gpu["end"].copies, FRAMES, "what is summed up is read");
     let _ = std::fs::remove_dir_all(&folder);
 }
 

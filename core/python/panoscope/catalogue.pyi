@@ -836,6 +836,7 @@ class NodeTypes:
         scale_bar: Flag = ...,
         scale_beside: Flag = ...,
         wanted_width: Whole = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Colorize:
@@ -850,7 +851,8 @@ class NodeTypes:
         colors: Colour map. (default "rainbow")
         scale_bar: Draws the colour scale with its values. (default True)
         scale_beside: Puts the scale in a strip to the right of the map instead of on it: the image is wider, and its coordinates do not change. (default False)
-        wanted_width: Width to which a small map with its scale next to it is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)"""
+        wanted_width: Width to which a small map with its scale next to it is enlarged, by the nearest integer factor, so that the text stays sharp on a large screen. 0 keeps its size. (0 to 4096 px; default 0)
+        device: What paints the map. A GPU paints a map that was made there, is not enlarged and has no scale on it: the image stays there, and only a sample of the map is read. All else is painted by the processor, which does everything without a GPU, with a warning. (default "cpu")"""
 
     def composite(
         self,
@@ -1246,7 +1248,7 @@ class NodeTypes:
         """Counts frames and releases them.
 
         image: The frame to forward.
-        digest: Reads all bytes and reports a digest of all frames received, as the metric `digest`. (default False)"""
+        digest: Reads all pixels and reports a digest of all frames received, as the metric `digest`. (default False)"""
 
     def drain_blocking(
         self,
@@ -1259,7 +1261,7 @@ class NodeTypes:
         """Counts frames and releases them, on its own thread.
 
         image: The frame to forward.
-        digest: Reads all bytes and reports a digest of all frames received, as the metric `digest`. (default False)"""
+        digest: Reads all pixels and reports a digest of all frames received, as the metric `digest`. (default False)"""
 
     def evaluate_arm(
         self,
@@ -1879,6 +1881,7 @@ class NodeTypes:
         line_px: Number = ...,
         mask_alpha: Number = ...,
         offset_px: Numbers = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Overlay:
@@ -1919,7 +1922,8 @@ class NodeTypes:
         text_scale: Scale of text: capital letters are six times as many px high. (0.5 to 20; default 2)
         line_px: Width of lines. (0.5 to 20 px; default 2)
         mask_alpha: Opacity of masks. (0 to 1 ratio; default 0.4)
-        offset_px: Offset added to all coordinates, x and y in px: the position of the left view's corner in the image. (px; default [])"""
+        offset_px: Offset added to all coordinates, x and y in px: the position of the left view's corner in the image. (px; default [])
+        device: Where the image and the bar below it are joined. A GPU does it with an image that was made there, is not enlarged and has nothing drawn on it: the result stays there. All else is drawn by the processor, which does everything without a GPU, with a warning. (default "cpu")"""
 
     def pass_(
         self,
@@ -2420,6 +2424,7 @@ class NodeTypes:
         titles: Text = ...,
         text_scale: Number = ...,
         max_age_ms: Whole = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Screen:
@@ -2433,7 +2438,8 @@ class NodeTypes:
         gap_px: Margin around images on a screen 720 px high; it grows with the screen. (0 to 64 px; default 4)
         titles: Titles separated by semicolons, the large image's first. Each is in a strip below its image; an image without a title has no strip. (default "")
         text_scale: Scale of the titles on a screen 720 px high, with which it grows: capital letters are six times as many px high. (0.5 to 20; default 2)
-        max_age_ms: Age of its light from which an image is dimmed and framed, with its age in the middle. 0 shows every image as it is. (0 to 60000 ms; default 1000)"""
+        max_age_ms: Age of its light from which an image is dimmed and framed, with its age in the middle. 0 shows every image as it is. (0 to 60000 ms; default 1000)
+        device: What brings images to the size of their places. A GPU does it with bgr8 images that were made there and are larger than their places: only the small images are read. All other images are placed by the processor, which does everything without a GPU, with a warning. (default "cpu")"""
 
     def side_by_side(
         self,

@@ -1,26 +1,25 @@
 //! `drain` and `drain_blocking`: sinks that count frames.
 
-use panoscope_node::abi::{FNV_START, Frame, fnv1a};
-use panoscope_node::{Context, NoPorts, Node, NodeInfo, Open, Params, Result};
+use panoscope_node::abi::{FNV_START, fnv1a};
+use panoscope_node::{AnyImage, Context, NoPorts, Node, NodeInfo, Open, Params, Result};
 
 use crate::ports::In;
 
 /// Parameters of both sinks.
 #[derive(Params)]
 pub struct DrainParams {
-    /// Reads all bytes and reports a digest of all frames received, as the metric `digest`.
+    /// Reads all pixels and reports a digest of all frames received, as the metric `digest`.
     #[param(default = false)]
     digest: bool,
 }
 
-/// Adds a frame and its tick to a digest.
-fn fold(hash: u64, frame: &Frame) -> u64 {
-    // SAFETY: an input's buffer is alive and not written for the length of the call.
-    let bytes = unsafe { std::slice::from_raw_parts(frame.data, frame.len) };
-    let tick = frame.tick;
-    let head = [tick.seq, tick.capture_ns as u64, u64::from(frame.format), frame.len as u64];
+/// Adds the pixels of a frame and its tick to a digest.
+fn fold(hash: u64, image: &AnyImage<'_>) -> u64 {
+    let tick = image.frame().tick;
+    let len = image.rows().map(<[u8]>::len).sum::<usize>();
+    let head = [tick.seq, tick.capture_ns as u64, u64::from(image.format()), len as u64];
     let hash = head.iter().fold(hash, |hash, number| fnv1a(hash, &number.to_le_bytes()));
-    fnv1a(hash, bytes)
+    image.rows().fold(hash, fnv1a)
 }
 
 #[derive(Default)]
@@ -30,11 +29,11 @@ struct Count {
 }
 
 impl Count {
-    fn take(&mut self, cx: &Context<'_>, frame: &Frame, params: &DrainParams) {
+    fn take(&mut self, cx: &Context<'_>, image: &AnyImage<'_>, params: &DrainParams) {
         self.frames += 1;
         if params.digest {
             let before = if self.frames == 1 { FNV_START } else { self.digest };
-            self.digest = fold(before, frame);
+            self.digest = fold(before, image);
             // A metric is an f64: 52 bits of the digest fit.
             cx.metric("digest", (self.digest >> 12) as f64);
         }
@@ -57,7 +56,7 @@ impl Node for Drain {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &DrainParams) -> Result<()> {
-        self.0.take(cx, input.image.frame(), params);
+        self.0.take(cx, &input.image, params);
         Ok(())
     }
 }
@@ -79,7 +78,7 @@ impl Node for DrainBlocking {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &DrainParams) -> Result<()> {
-        self.0.take(cx, input.image.frame(), params);
+        self.0.take(cx, &input.image, params);
         Ok(())
     }
 }

@@ -3,12 +3,15 @@
 use panoscope_imaging::draw::{self, Colormap, ScaleBar};
 use panoscope_imaging::fit::Fit;
 use panoscope_node::abi::Scalar;
+use panoscope_node::device::{Device, DeviceImage};
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Depth, Disparity, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
     Slot, Validation, Value, View, ViewMut,
 };
 
 use crate::fit::{enlargement, usual_range};
+use crate::gpu::OnDevice;
+use crate::gpu::colors::MapPainter;
 
 /// Colour maps.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,6 +76,10 @@ pub struct Settings {
     /// screen. 0 keeps its size.
     #[param(default = 0, range = 0..=4096, unit = "px")]
     pub wanted_width: usize,
+    /// What paints the map. A GPU paints a map that was made there, is not enlarged and has no scale on it: the image stays there, and only a sample
+    /// of the map is read. All else is painted by the processor, which does everything without a GPU, with a warning.
+    #[param(default = "cpu")]
+    pub device: Device,
 }
 
 /// Width of the strip for the scale in units of its text scale: the bar, and labels such as `100 mm`.
@@ -111,7 +118,11 @@ fn rounded((low, high): (f32, f32)) -> (f32, f32) {
 impl AutoRange {
     /// Updates the range for `plane` and returns it.
     pub fn follow(&mut self, plane: &View<'_, f32>) -> (f32, f32) {
-        let step = 1 + plane.width.max(plane.height) / 256;
+        self.follow_sample(plane, sample_step(plane.width, plane.height))
+    }
+
+    /// As [`Self::follow`], for every `step`-th number of every `step`-th row.
+    fn follow_sample(&mut self, plane: &View<'_, f32>, step: usize) -> (f32, f32) {
         if let Some(usual) = usual_range(plane, step, &mut self.work) {
             let (low, high) = *self.range.get_or_insert_with(|| rounded(usual));
             let beyond = self.work.iter().filter(|v| **v < low || **v > high).count() as f32 / self.work.len() as f32;
@@ -125,16 +136,120 @@ impl AutoRange {
     }
 }
 
-/// Share of the known numbers outside a range, sampled at every fourth number of every fourth row; `None` where nothing is known.
-fn beyond_share(plane: &View<'_, f32>, (low, high): (f32, f32)) -> Option<f64> {
+/// Step between the numbers of a map of this size by which a range follows it.
+fn sample_step(width: usize, height: usize) -> usize {
+    1 + width.max(height) / 256
+}
+
+/// Step between the numbers by which [`beyond_share`] is found.
+const SHARE_STEP: usize = 4;
+
+/// Share of the known numbers outside a range, of every `step`-th number of every `step`-th row; `None` where nothing is known.
+fn beyond_share(plane: &View<'_, f32>, step: usize, (low, high): (f32, f32)) -> Option<f64> {
     let (mut known, mut beyond) = (0, 0);
-    for y in (0..plane.height).step_by(4) {
-        for v in plane.row(y).iter().step_by(4).filter(|v| !v.is_nan()) {
+    for y in (0..plane.height).step_by(step) {
+        for v in plane.row(y).iter().step_by(step).filter(|v| !v.is_nan()) {
             known += 1;
             beyond += usize::from(*v < low || *v > high);
         }
     }
     (known > 0).then(|| beyond as f64 / known as f64)
+}
+
+/// The connected map.
+#[derive(Clone, Copy)]
+enum Map<'f> {
+    Disparity(Image<'f, Disparity>),
+    Depth(Image<'f, Depth>),
+    Confidence(Image<'f, Confidence>),
+}
+
+/// Does the same with any map.
+macro_rules! of_map {
+    ($map:expr, $image:ident => $do:expr) => {
+        match $map {
+            Map::Disparity($image) => $do,
+            Map::Depth($image) => $do,
+            Map::Confidence($image) => $do,
+        }
+    };
+}
+
+impl<'f> Map<'f> {
+    fn size(&self) -> (usize, usize) {
+        of_map!(self, image => (image.width(), image.height()))
+    }
+
+    fn view(&self) -> View<'f, f32> {
+        of_map!(self, image => image.view())
+    }
+
+    fn is_from_device(&self) -> bool {
+        of_map!(self, image => image.is_from_device())
+    }
+
+    fn on_device(&self) -> Result<DeviceImage> {
+        of_map!(self, image => image.on_device())
+    }
+
+    fn unit(&self) -> &'static str {
+        match self {
+            Self::Disparity(_) => "px",
+            Self::Depth(_) => "mm",
+            Self::Confidence(_) => "",
+        }
+    }
+}
+
+/// Where the scale is in the image.
+struct Layout {
+    /// Columns and rows of the coloured map.
+    size: (usize, usize),
+    is_beside: bool,
+    text_scale: f32,
+    /// Width of the strip for the scale.
+    strip_px: usize,
+}
+
+impl Layout {
+    fn of(size: (usize, usize), is_beside: bool) -> Self {
+        let height = size.1 as f32;
+        // Beside the map there is room, so that it can be read on a screen on which the map is small.
+        let text_scale = if is_beside { height / 120.0 } else { (height / 320.0).clamp(1.0, 3.0) };
+        Self { size, is_beside, text_scale, strip_px: if is_beside { (STRIP * text_scale) as usize } else { 0 } }
+    }
+
+    /// Draws the scale, with its strip, on an image that begins at column `left`.
+    fn draw_scale(
+        &self,
+        picture: &mut ViewMut<'_, u8>,
+        left: usize,
+        (low, high): (f32, f32),
+        (unit, labels): (&str, usize),
+        map: Colormap,
+    ) {
+        let (width, height) = (self.size.0 as i32, self.size.1 as i32);
+        let ground = 3 * (self.size.0 - left);
+        (0..self.size.1).for_each(|y| picture.row_mut(y)[ground..].fill(GROUND));
+        let (x, height_px) = if self.is_beside {
+            (width + 2 + (3.0 * self.text_scale) as i32, height * 3 / 4)
+        } else {
+            (width / 40 + 4, height / 2)
+        };
+        let bar = ScaleBar {
+            x: x - left as i32,
+            y: if self.is_beside { height / 8 } else { height / 12 + 4 },
+            width_px: if self.is_beside { (5.0 * self.text_scale) as i32 } else { (width / 50).max(6) },
+            height_px,
+            low,
+            high,
+            unit,
+            map,
+            labels,
+            text_scale: self.text_scale,
+        };
+        draw::scale_bar(picture, &bar);
+    }
 }
 
 /// Colours maps of numbers.
@@ -144,6 +259,59 @@ pub struct Colorize {
     /// The coloured map before it is enlarged.
     small: Vec<u8>,
     fit: Fit,
+    on_device: OnDevice<MapPainter>,
+    /// The strip for the scale of a map on the GPU.
+    strip: Vec<u8>,
+}
+
+/// The range of the colours, and the share of the known numbers beyond it. `coarse` and `fine`: the map and the step between the numbers that are
+/// taken of it, or such a sample of it and 1.
+fn measure(
+    auto: &mut AutoRange,
+    [coarse, fine]: [(&View<'_, f32>, usize); 2],
+    map: &Map<'_>,
+    params: &Settings,
+) -> ((f32, f32), Option<f64>) {
+    let range = if params.high > params.low {
+        (params.low, params.high)
+    } else if matches!(map, Map::Confidence(_)) {
+        (0.0, 1.0)
+    } else {
+        auto.follow_sample(coarse.0, coarse.1)
+    };
+    (range, beyond_share(fine.0, fine.1, range))
+}
+
+impl Colorize {
+    /// Paints a map that was made on the GPU there. `false` where the processor has to do it.
+    fn paint_on_device(
+        &mut self,
+        cx: &Context<'_>,
+        map: &Map<'_>,
+        slot: &mut Slot<'_, Bgr8>,
+        layout: &Layout,
+        labels: usize,
+        params: &Settings,
+    ) -> bool {
+        let Self { auto, strip, on_device, .. } = self;
+        let (width, height) = layout.size;
+        on_device.attempt(cx, |painter| {
+            let there = map.on_device()?;
+            let [coarse, fine] = painter.sample(there, [sample_step(width, height), SHARE_STEP])?;
+            let (range, beyond) = measure(auto, [(&coarse, 1), (&fine, 1)], map, params);
+            strip.resize(3 * layout.strip_px * height, 0);
+            if layout.strip_px > 0 {
+                let mut picture = ViewMut::new(strip, layout.strip_px, height, 3);
+                layout.draw_scale(&mut picture, width, range, (map.unit(), labels), params.colors.into());
+            }
+            let out = slot.alloc_on_device(width + layout.strip_px, height)?;
+            painter.paint(there, range, params.colors.into(), strip, out)?;
+            if let Some(share) = beyond {
+                cx.metric("beyond_pct", 100.0 * share);
+            }
+            Ok(())
+        })
+    }
 }
 
 impl Node for Colorize {
@@ -163,75 +331,51 @@ impl Node for Colorize {
         }
     }
 
-    fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
-        Ok(Self::default())
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
+        let mut colorize = Self::default();
+        colorize.on_device.choose(params.device, open, MapPainter::new);
+        Ok(colorize)
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
-        let maps = [
-            input.disparity.map(|plane| (plane.view(), "px")),
-            input.depth.map(|plane| (plane.view(), "mm")),
-            input.confidence.map(|plane| (plane.view(), "")),
-        ];
+        self.on_device.choose(params.device, cx, MapPainter::new);
+        let maps =
+            [input.disparity.map(Map::Disparity), input.depth.map(Map::Depth), input.confidence.map(Map::Confidence)];
         if maps.iter().flatten().count() > 1 {
             return Err(NodeError::new(
                 "more than one map is connected: use a separate `colorize` node for each of `disparity`, `depth` and `confidence`",
             ));
         }
-        let is_confidence = maps[2].is_some();
-        let Some((plane, unit)) = maps.into_iter().flatten().next() else { return Ok(()) };
-        let (low, high) = if params.high > params.low {
-            (params.low, params.high)
-        } else if is_confidence {
-            (0.0, 1.0)
-        } else {
-            self.auto.follow(&plane)
-        };
-        if let Some(share) = beyond_share(&plane, (low, high)) {
+        let Some(map) = maps.into_iter().flatten().next() else { return Ok(()) };
+        let is_drifted = input.drifted.as_ref().is_some_and(|drifted| drifted.value > 0.0);
+        let labels = if is_drifted && map.unit() == "mm" { 0 } else { 5 };
+        let is_beside = params.scale_bar && params.scale_beside;
+        let factor = if is_beside { enlargement(map.size().0, params.wanted_width) } else { 1 };
+        let layout = Layout::of((factor * map.size().0, factor * map.size().1), is_beside);
+        let is_plain = factor == 1 && is_beside == params.scale_bar && map.is_from_device();
+        if is_plain && self.paint_on_device(cx, &map, &mut out.image, &layout, labels, params) {
+            return Ok(());
+        }
+        let plane = map.view();
+        let samples = [(&plane, sample_step(plane.width, plane.height)), (&plane, SHARE_STEP)];
+        let ((low, high), beyond) = measure(&mut self.auto, samples, &map, params);
+        if let Some(share) = beyond {
             cx.metric("beyond_pct", 100.0 * share);
         }
-        let is_beside = params.scale_bar && params.scale_beside;
-        let factor = if is_beside { enlargement(plane.width, params.wanted_width) } else { 1 };
-        let size = (factor * plane.width, factor * plane.height);
-        let (width, height) = (size.0 as i32, size.1 as i32);
-        // Beside the map there is room, so that it can be read on a screen on which the map is small.
-        let text_scale = if is_beside { height as f32 / 120.0 } else { (height as f32 / 320.0).clamp(1.0, 3.0) };
-        let strip_px = if is_beside { (STRIP * text_scale) as usize } else { 0 };
-        let mut picture = out.image.alloc(size.0 + strip_px, size.1)?;
-        let (stride, columns) = (picture.stride, size.0 * 3);
-        let mut map = ViewMut::with_stride(&mut *picture.data, size.0, size.1, 3, stride);
+        let size = layout.size;
+        let mut picture = out.image.alloc(size.0 + layout.strip_px, size.1)?;
+        let stride = picture.stride;
+        let mut colored = ViewMut::with_stride(&mut *picture.data, size.0, size.1, 3, stride);
         if factor == 1 {
-            draw::colorize(&plane, low, high, params.colors.into(), &mut map);
+            draw::colorize(&plane, low, high, params.colors.into(), &mut colored);
         } else {
             self.small.resize(3 * plane.width * plane.height, 0);
             let mut small = ViewMut::new(&mut self.small, plane.width, plane.height, 3);
             draw::colorize(&plane, low, high, params.colors.into(), &mut small);
-            self.fit.place(&mut map, &small.as_view(), (0, 0), size);
+            self.fit.place(&mut colored, &small.as_view(), (0, 0), size);
         }
         if params.scale_bar {
-            (0..size.1).for_each(|y| picture.row_mut(y)[columns..].fill(GROUND));
-            let (x, high_px) = if is_beside {
-                (width + 2 + (3.0 * text_scale) as i32, height * 3 / 4)
-            } else {
-                (width / 40 + 4, height / 2)
-            };
-            let bar = ScaleBar {
-                x,
-                y: if is_beside { height / 8 } else { height / 12 + 4 },
-                width_px: if is_beside { (5.0 * text_scale) as i32 } else { (width / 50).max(6) },
-                height_px: high_px,
-                low,
-                high,
-                unit,
-                map: params.colors.into(),
-                labels: 5,
-                text_scale,
-            };
-            let is_drifted = input.drifted.as_ref().is_some_and(|drifted| drifted.value > 0.0);
-            draw::scale_bar(
-                &mut picture,
-                &ScaleBar { labels: if is_drifted && unit == "mm" { 0 } else { bar.labels }, ..bar },
-            );
+            layout.draw_scale(&mut picture, 0, (low, high), (map.unit(), labels), params.colors.into());
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! Sizes of images in cells, and the range of the numbers in a map.
 
+use panoscope_node::abi::{FORMAT_BGR8, FORMAT_GRAY8, FORMAT_RGBA8};
 use panoscope_node::{AnyImage, Bgr8, Gray8, Rgba8, View};
 
 /// The largest size with the proportions of `from` (width, height in px) that fits into `cell`.
@@ -18,6 +19,12 @@ const MAX_ENLARGEMENT: f64 = 4.0;
 /// Integer factor by which an image's width comes nearest to the wanted one.
 pub fn enlargement(width: usize, wanted_width: usize) -> usize {
     (wanted_width as f64 / width.max(1) as f64).round().clamp(1.0, MAX_ENLARGEMENT) as usize
+}
+
+/// Columns and rows of an 8-bit image of any channels; `None` of other images.
+pub fn bytes_size(image: &AnyImage<'_>) -> Option<(usize, usize)> {
+    let formats = [FORMAT_BGR8, FORMAT_GRAY8, FORMAT_RGBA8];
+    formats.contains(&image.format()).then(|| (image.width(), image.height()))
 }
 
 /// The pixels of an 8-bit image of any channels.

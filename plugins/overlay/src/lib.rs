@@ -8,6 +8,7 @@
 pub mod bar;
 pub mod colorize;
 pub mod fit;
+pub mod gpu;
 pub mod marks;
 pub mod nearness;
 pub mod overlay;

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use panoscope_imaging::draw::{self, Area, Colormap, Labels};
 use panoscope_imaging::fit::Fit;
 use panoscope_node::abi::{Detection, Homography, Roi, Scalar, Tip};
+use panoscope_node::device::Device;
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, List, Mask, Node, NodeError, NodeInfo, Open,
     Params, Ports, Result, Slot, Table, Text, Validation, Value, View, ViewMut,
@@ -13,6 +14,8 @@ use panoscope_node::{
 use crate::bar::{self, Bar};
 use crate::colorize::{AutoRange, Colors};
 use crate::fit::{enlargement, fitted_size};
+use crate::gpu::OnDevice;
+use crate::gpu::below::{BarText, Below};
 use crate::marks::{self, Pen, Words};
 use crate::nearness;
 use crate::quantity::{error_column, write_with_error};
@@ -158,6 +161,10 @@ pub struct Settings {
     /// Offset added to all coordinates, x and y in px: the position of the left view's corner in the image.
     #[param(default = [], range = 0..=2, unit = "px", points)]
     pub offset_px: Vec<f64>,
+    /// Where the image and the bar below it are joined. A GPU does it with an image that was made there, is not enlarged and has nothing drawn on it:
+    /// the result stays there. All else is drawn by the processor, which does everything without a GPU, with a warning.
+    #[param(default = "cpu")]
+    pub device: Device,
 }
 
 /// Maximum width of text in a corner, as a share of the image's: longer lines are wrapped so that the middle stays free.
@@ -203,6 +210,9 @@ pub struct Overlay {
     shown: Vec<usize>,
     /// Whether a label that cannot be drawn was reported.
     has_warned: bool,
+    on_device: OnDevice<Below>,
+    /// What the bar of an image on the GPU depends on.
+    bar_text: BarText,
 }
 
 /// The inputs that the parameters show.
@@ -345,9 +355,33 @@ impl Overlay {
         Ok(())
     }
 
+    /// Joins an image that was made on the GPU and the bar below it there. `false` where the processor has to do it.
+    fn join_on_device(
+        &mut self,
+        cx: &Context<'_>,
+        image: &Image<'_, Bgr8>,
+        slot: &mut Slot<'_, Bgr8>,
+        (lines, scale): (usize, f32),
+        params: &Settings,
+    ) -> bool {
+        let Self { bar, bar_text: text, words, on_device, .. } = self;
+        text.title.clone_from(&params.label);
+        text.words.clone_from(words);
+        (text.width, text.lines, text.scale) = (image.width(), lines, scale);
+        on_device.attempt(cx, |below| {
+            let out = slot.alloc_on_device(image.width(), image.height() + bar::height_px(lines, scale))?;
+            below.join(image.on_device()?, out, text, |rows| {
+                bar.begin(&text.title);
+                bar.add(&text.words, None);
+                bar.draw(rows, lines, scale);
+            })
+        })
+    }
+
     /// Draws on a copy of the image, enlarged towards `wanted_width`, with a bar of text below it.
     fn draw_with_bar(
         &mut self,
+        cx: &Context<'_>,
         image: &Image<'_, Bgr8>,
         layers: &Layers<'_>,
         slot: &mut Slot<'_, Bgr8>,
@@ -361,6 +395,10 @@ impl Overlay {
         let (width, height) = (factor * frame.0, factor * frame.1);
         let wanted_px = if params.max_aspect > 0.0 { width as f32 / params.max_aspect - height as f32 } else { 0.0 };
         let (lines, bar_scale) = bar::filling(params.bar_lines, factor as f32 * pen.text_scale, wanted_px);
+        let is_plain = factor == 1 && image.is_from_device() && layers.is_empty(params);
+        if is_plain && self.join_on_device(cx, image, slot, (lines, bar_scale), params) {
+            return Ok(());
+        }
         let bar_px = bar::height_px(lines, bar_scale);
         let whole = slot.alloc(width, height + bar_px)?;
         let stride = whole.stride;
@@ -451,8 +489,10 @@ impl Node for Overlay {
         }
     }
 
-    fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
-        Ok(Self::default())
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
+        let mut overlay = Self::default();
+        overlay.on_device.choose(params.device, open, Below::new);
+        Ok(overlay)
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
@@ -463,6 +503,7 @@ impl Node for Overlay {
                 return Err(NodeError::new(format!("`offset_px` needs two numbers, x and y, but has {}", other.len())));
             }
         };
+        self.on_device.choose(params.device, cx, Below::new);
         let layers = Layers::of(&input, params);
         if let Some(label) = layers.boxes.as_ref().and_then(marks::undrawable_label)
             && !std::mem::replace(&mut self.has_warned, true)
@@ -483,7 +524,7 @@ impl Node for Overlay {
         };
         // A bar comes and goes with the parameter only: the image keeps its size.
         if params.words == Words::Below {
-            return self.draw_with_bar(&input.image, &layers, &mut out.image, pen, params);
+            return self.draw_with_bar(cx, &input.image, &layers, &mut out.image, pen, params);
         }
         wrap(&mut self.words, input.image.width() as f32 * WORDS_SHARE, params.text_scale);
         if layers.is_empty(params) && self.words.is_empty() {

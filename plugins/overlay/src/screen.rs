@@ -5,11 +5,14 @@ use std::time::Duration;
 use panoscope_imaging::composition::{Cell, Composition, Frame, Size, Tile};
 use panoscope_imaging::draw;
 use panoscope_imaging::fit::Fit;
+use panoscope_node::device::Device;
 use panoscope_node::{
-    AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, ViewMut,
+    AnyImage, Bgr8, Context, Image, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, ViewMut,
 };
 
-use crate::fit::{bytes, fitted_size};
+use crate::fit::{bytes, bytes_size, fitted_size};
+use crate::gpu::OnDevice;
+use crate::gpu::fit::SmallImages;
 
 /// Input ports of `screen`.
 #[derive(Ports)]
@@ -52,6 +55,10 @@ pub struct Settings {
     /// Age of its light from which an image is dimmed and framed, with its age in the middle. 0 shows every image as it is.
     #[param(default = 1000, range = 0..=60000, unit = "ms")]
     pub max_age_ms: u64,
+    /// What brings images to the size of their places. A GPU does it with bgr8 images that were made there and are larger than their places: only the
+    /// small images are read. All other images are placed by the processor, which does everything without a GPU, with a warning.
+    #[param(default = "cpu")]
+    pub device: Device,
 }
 
 /// Remaining brightness of an image that is too old, of 256.
@@ -73,6 +80,7 @@ pub struct Screen {
     composition: Composition,
     /// The area that each image covers.
     shown: Vec<Cell>,
+    on_device: OnDevice<SmallImages>,
 }
 
 impl Screen {
@@ -88,7 +96,7 @@ impl Screen {
         let images = std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter)).zip(titles);
         let tiles = images.map(|(image, title)| {
             let caption = if title.is_empty() { 0 } else { (STRIP * text_scale(params)).ceil() as usize };
-            (image.as_ref().and_then(bytes).map(|pixels| (pixels.width, pixels.height)), caption)
+            (image.as_ref().and_then(bytes_size), caption)
         });
         self.composition.update(frame, tiles);
     }
@@ -113,6 +121,13 @@ fn place(size: Size, cell: Cell, caption: usize) -> Cell {
     let (width, shown_height) = fitted_size(size, (cell.width, height));
     let x = cell.x + cell.width.saturating_sub(width) / 2;
     Cell { x, y: cell.y + height.saturating_sub(shown_height) / 2, width, height: shown_height }
+}
+
+/// An image that the GPU brings to the size of its place, so that it need not be read whole.
+fn shrunk_on_device<'f>(image: &AnyImage<'f>, shown: &Cell) -> Option<Image<'f, Bgr8>> {
+    let (width, height) = (image.width(), image.height());
+    let shrinks = shown.width <= width && shown.height <= height && (shown.width, shown.height) != (width, height);
+    image.as_plane::<Bgr8>().filter(|image| shrinks && image.is_from_device())
 }
 
 /// Fills the area that no image covers.
@@ -161,11 +176,14 @@ impl Node for Screen {
     type Out<'f> = Out<'f>;
     type Params = Settings;
 
-    fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
-        Ok(Self::default())
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
+        let mut screen = Self::default();
+        screen.on_device.choose(params.device, open, SmallImages::new);
+        Ok(screen)
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
+        self.on_device.choose(params.device, cx, SmallImages::new);
         self.arrange(params, &input);
         let (cells, tiles) = (self.composition.cells(), self.composition.tiles());
         let pictures = || std::iter::once(Some(input.main)).chain(input.side.iter().flat_map(List::iter));
@@ -175,11 +193,11 @@ impl Node for Screen {
                 self.shown.push(Cell { height: 0, ..*cell });
                 continue;
             };
-            let Some(pixels) = bytes(&picture) else {
+            let Some(size) = bytes_size(&picture) else {
                 let name = if index == 0 { "`main`".to_owned() } else { format!("image {} of `side`", index - 1) };
                 return Err(NodeError::new(format!("{name} is not an 8-bit image: put a `colorize` node in front")));
             };
-            self.shown.push(place((pixels.width, pixels.height), *cell, tile.caption));
+            self.shown.push(place(size, *cell, tile.caption));
         }
         let area = |cell: &Cell| (cell.width * cell.height) as f64;
         let whole = (params.width * params.height) as f64;
@@ -189,8 +207,13 @@ impl Node for Screen {
         cx.metric("dead_pct", 100.0 - 100.0 * used / whole);
         let mut screen = out.image.alloc(params.width, params.height)?;
         fill_around(&mut screen, &self.shown);
-        for (picture, shown) in pictures().zip(&self.shown) {
-            if let Some(pixels) = picture.as_ref().and_then(bytes) {
+        let large = pictures().zip(&self.shown).enumerate().filter_map(|(number, (picture, shown))| {
+            Some((number, shrunk_on_device(&picture?, shown)?, (shown.width, shown.height)))
+        });
+        self.on_device.attempt(cx, |small| small.make(large));
+        for (number, (picture, shown)) in pictures().zip(&self.shown).enumerate() {
+            let small = self.on_device.get().and_then(|small| small.get(number));
+            if let Some(pixels) = small.or_else(|| picture.as_ref().and_then(bytes)) {
                 self.fit.place(&mut screen, &pixels, (shown.x, shown.y), (shown.width, shown.height));
             }
         }

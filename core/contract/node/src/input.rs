@@ -194,6 +194,12 @@ impl<'f, P: Plane> Image<'f, P> {
         View::with_stride(data, self.width(), self.height(), P::CHANNELS, stride)
     }
 
+    /// Whether the image was made on the GPU, so that [`Self::view`] copies it to the host's memory if nobody read it
+    /// there before.
+    pub fn is_from_device(&self) -> bool {
+        self.frame.buffer.home == abi::HOME_DEVICE
+    }
+
     /// The buffer on the GPU with these pixels: copied there if they are not there yet.
     pub fn on_device(&self) -> Result<DeviceImage> {
         DeviceImage::of(self.frame)
@@ -262,6 +268,13 @@ impl<'f> AnyImage<'f> {
     /// Rows.
     pub fn height(&self) -> usize {
         self.frame.height as usize
+    }
+
+    /// The bytes of each row, without padding.
+    pub fn rows(&self) -> impl Iterator<Item = &'f [u8]> + use<'f> {
+        let frame = self.frame;
+        let (all, row) = (bytes(frame), self.width() * format::pixel_bytes(frame.format));
+        (0..self.height()).map(move |y| &all[y * frame.stride_bytes as usize..][..row])
     }
 
     /// The frame as the host describes it.

@@ -93,6 +93,23 @@ impl<N> Harness<N> {
         self.accept(name, P::PACKET, 0, P::FORMAT, frame)
     }
 
+    /// Gives an input an image as [`Harness::input_image`] does, which counts as made on the GPU.
+    pub fn input_image_from_device<P: Plane>(
+        &mut self,
+        name: &str,
+        width: usize,
+        height: usize,
+        data: &[P::Element],
+    ) -> &mut Self {
+        self.input_image::<P>(name, width, height, data);
+        if let Some(Pending::Frames(frames)) = self.node_type.input(name).map(|index| &mut self.pending[index])
+            && let Some(frame) = frames.last_mut()
+        {
+            frame.buffer.home = abi::HOME_DEVICE;
+        }
+        self
+    }
+
     /// Gives an input plain data: a homography, a calibration, a plugin's own packet.
     pub fn input_value<T: Packet>(&mut self, name: &str, value: T) -> &mut Self {
         self.fill::<T>(name, T::NAME, T::LAYOUT_HASH, |slot| slot.set(value))

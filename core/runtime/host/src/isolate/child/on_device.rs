@@ -45,6 +45,14 @@ pub fn make(lane: usize, output: Frame) -> Option<u64> {
     Some(hold(lane, DeviceMemory::open().ok()?.buffer(output.len)?, Some(output)))
 }
 
+/// Does not bring the content of `replaced`, the memory of an output that the running call of a lane made again.
+pub fn forget(lane: usize, replaced: *mut u8) {
+    let mut held = HELD.lock().unwrap_or_else(PoisonError::into_inner);
+    for held in held.iter_mut().filter(|held| held.lane == lane) {
+        held.output.take_if(|output| output.data == replaced);
+    }
+}
+
 /// Copies what the running call of a lane made on the GPU into its outputs; `false` when some of it is lost.
 pub fn bring(lane: usize) -> bool {
     let Some(device) = DeviceMemory::opened() else { return true };
@@ -67,4 +75,72 @@ pub fn end(lane: usize) -> bool {
         .collect::<Vec<_>>();
     gone.iter().for_each(|held| device.free(held.handle));
     is_whole
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ffi::c_void;
+
+    use panoscope_abi::{self as abi, BufferId, Device, Status, Str, Tick};
+    use panoscope_engine::memory::open_device_by;
+
+    use super::*;
+    use crate::isolate::child::table::{CallFrame, ChildLane};
+    use crate::isolate::lane::Lane;
+
+    unsafe extern "C" fn buffer(_: *mut c_void, _: u64) -> u64 {
+        1
+    }
+
+    /// A device that fails to give anything back.
+    fn open() -> Result<&'static Device, String> {
+        unsafe extern "C" fn read(_: *mut c_void, _: u64, _: u64, _: *mut u8, _: usize) -> Status {
+            abi::STATUS_ERROR
+        }
+        static DEVICE: Device = Device {
+            struct_size: size_of::<Device>() as u32,
+            reserved: 0,
+            name: Str::new("none"),
+            ctx: std::ptr::null_mut(),
+            max_buffer_bytes: 1 << 20,
+            kernel: None,
+            buffer: Some(buffer),
+            free: None,
+            submit: None,
+            read: Some(read),
+            failure: None,
+        };
+        Ok(&DEVICE)
+    }
+
+    #[test]
+    fn an_output_that_is_made_again_in_memory_is_not_brought_from_the_device() {
+        open_device_by(open);
+        let lane = ChildLane::new(Lane::create().expect("memory").0);
+        let at = std::ptr::from_ref(&lane) as usize;
+        let mut outputs = [Frame::EMPTY; 2];
+        let mut call = CallFrame {
+            lane: &lane,
+            node: String::new(),
+            tick: Tick::default(),
+            outputs: outputs.as_mut_ptr(),
+            outputs_len: 2,
+            formats: &[0; 2],
+            random: None,
+            file: String::new(),
+        };
+        let mut memory = [[0_u8; 8]; 2];
+        let [there, here] = memory.each_mut().map(|memory| {
+            let buffer = BufferId { home: abi::HOME_DEVICE, ..Frame::EMPTY.buffer };
+            Frame { buffer, data: memory.as_mut_ptr(), len: 8, ..Frame::EMPTY }
+        });
+        let mut is_whole = |shown: &[(u32, Frame)]| {
+            assert_eq!(make(at, there), Some(1));
+            shown.iter().for_each(|(output, frame)| call.show(*output, *frame));
+            end(at)
+        };
+        assert!(!is_whole(&[(0, there)]), "the device has it");
+        assert!(is_whole(&[(0, there), (0, here)]));
+        assert!(!is_whole(&[(0, there), (1, there), (0, here)]), "another output is the same frame");
+    }
 }

@@ -202,10 +202,13 @@ impl CallFrame<'_> {
         ((index as usize) < self.outputs_len).then(|| unsafe { self.outputs.add(index as usize).read() })
     }
 
-    fn show(&mut self, index: u32, frame: Frame) {
-        if (index as usize) < self.outputs_len {
-            // SAFETY: as in `shown`; one thread at a time makes outputs (the contract).
-            unsafe { self.outputs.add(index as usize).write(frame) };
+    pub(super) fn show(&mut self, index: u32, frame: Frame) {
+        let Some(before) = self.shown(index) else { return };
+        // SAFETY: as in `shown`; one thread at a time makes outputs (the contract).
+        unsafe { self.outputs.add(index as usize).write(frame) };
+        let is_shown = |at: u32| self.shown(at).is_some_and(|shown| shown.data == before.data);
+        if before.buffer.home == abi::HOME_DEVICE && !(0..self.outputs_len as u32).any(is_shown) {
+            on_device::forget(std::ptr::from_ref(self.lane) as usize, before.data);
         }
     }
 

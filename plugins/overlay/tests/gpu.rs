@@ -1,0 +1,228 @@
+//! Nodes on the GPU: the images of the processor; without a GPU, and when it fails, the processor makes them.
+
+#[path = "../../../tests/support/gpu.rs"]
+mod support;
+
+use std::ffi::c_void;
+use std::sync::atomic::{AtomicI32, Ordering};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+
+use panoscope_imaging::fit::Fit;
+use panoscope_imaging::{View, ViewMut};
+use panoscope_node::abi::{self, Device, DeviceStep, Roi, Status};
+use panoscope_node::device::{DeviceImage, Steps};
+use panoscope_node::harness::{Harness, Level, Setup, lend_device};
+use panoscope_node::{Bgr8, Depth, Node};
+use panoscope_overlay::colorize::Colorize;
+use panoscope_overlay::gpu::fit::{DeviceFit, FitJob};
+use panoscope_overlay::overlay::Overlay;
+use panoscope_overlay::screen::Screen;
+
+use support::{Held, device, difference, picture, table};
+
+#[test]
+fn images_are_brought_to_the_sizes_of_their_places() {
+    let Some(gpu) = device() else { return };
+    let mut fit = DeviceFit::new(gpu).expect("a kernel");
+    let source = (203, 151);
+    // Image, place, largest difference: copied, up to two pixels under one, more, more than 257.
+    let cases = [
+        (source, source, 0),
+        (source, (202, 151), 0),
+        (source, (150, 111), 0),
+        (source, (102, 76), 0),
+        (source, (101, 75), 0),
+        (source, (77, 57), 0),
+        (source, (41, 31), 0),
+        (source, (13, 10), 0),
+        (source, (11, 9), 1),
+        (source, (1, 1), 1),
+        ((5, 3), (3, 2), 0),
+        ((8, 6), (4, 3), 0),
+        ((3, 700), (1, 2), 1),
+    ];
+    for (padding, start) in [(0, 0), (5, 36_usize)] {
+        for (number, (from, to, limit)) in cases.into_iter().enumerate() {
+            let stride = 3 * from.0 + padding;
+            let pixels = picture(from.0, from.1, stride, number as u32);
+            let image = Held::of(gpu, &pixels, from.0, from.1, stride);
+            // One row more, for the start.
+            let place = Held::new(gpu, to.0, to.1 + start.div_ceil(3 * to.0), 3);
+            let to_image = DeviceImage { height: to.1, ..place.image };
+            fit.run(Steps::default(), &[FitJob { from: image.image, to: to_image, start }]).expect("placed");
+            let row = DeviceImage::stride_bytes(to.0, 3);
+            let mut made = vec![0; start + row * to.1];
+            gpu.read(place.image.buffer, &mut made).expect("read");
+            let made: Vec<u8> = made[start..].chunks_exact(row).flat_map(|row| &row[..3 * to.0]).copied().collect();
+            let mut expected = vec![0; 3 * to.0 * to.1];
+            let view = View::with_stride(&pixels, from.0, from.1, 3, stride);
+            Fit::default().place(&mut ViewMut::new(&mut expected, to.0, to.1, 3), &view, (0, 0), to);
+            let (most, _) = difference(&made, &expected);
+            assert!(most <= limit, "{from:?} as {to:?}: {most}");
+        }
+    }
+}
+
+/// The GPU is that of the process: one test at a time.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn open<N: Node>(device: &str, params: &str) -> Harness<N> {
+    Harness::open(Setup::new(&format!("params = {{ device = \"{device}\"{params} }}"))).unwrap()
+}
+
+/// The rows of output `image` of a tick.
+fn rows<N: Node>(node: &mut Harness<N>) -> Vec<u8> {
+    let out = node.process().unwrap();
+    let image = out.plane::<Bgr8>("image").unwrap();
+    (0..image.height).flat_map(|y| image.row(y).to_vec()).collect()
+}
+
+fn give<N: Node>(node: &mut Harness<N>, input: &str, size: (usize, usize), seed: u32) {
+    node.input_image_from_device::<Bgr8>(input, size.0, size.1, &picture(size.0, size.1, 3 * size.0, seed));
+}
+
+/// A tick of `screen`: two images that shrink, one that grows, one of the host, one that is missing.
+fn screen(node: &mut Harness<Screen>, seed: u32) -> Vec<u8> {
+    give(node, "main", (723, 417), seed);
+    give(node, "side", (301, 202), seed + 1);
+    give(node, "side", (31, 22), seed + 2);
+    node.input_image::<Bgr8>("side", 501, 300, &picture(501, 300, 3 * 501, seed + 3));
+    node.input_empty("side");
+    rows(node)
+}
+
+/// A tick of `overlay` with a bar.
+fn overlay(node: &mut Harness<Overlay>, text: &str, seed: u32) -> Vec<u8> {
+    give(node, "image", (323, 141), seed);
+    node.input_text("text", text);
+    rows(node)
+}
+
+const BELOW: &str = ", words = \"below\", label = \"panorama\"";
+
+/// Runs ticks on both devices, with and without a GPU: the same images.
+fn check<N: Node>(params: &str, ticks: usize, tick: impl Fn(&mut Harness<N>, usize) -> Vec<u8>) {
+    let _alone = alone();
+    for gpu in [table(), None] {
+        lend_device(gpu);
+        let [mut cpu, mut other] = ["cpu", "gpu"].map(|device| open::<N>(device, params));
+        for at in 0..ticks {
+            assert!(tick(&mut cpu, at) == tick(&mut other, at), "{params}, tick {at}");
+        }
+        assert!(cpu.logs().is_empty());
+        let lines: Vec<_> = other.logs().iter().map(|line| (line.level, line.message.as_str())).collect();
+        match &lines[..] {
+            [(Level::Info, message)] => assert!(gpu.is_some() && message.starts_with("computes on "), "{message}"),
+            [(Level::Warn, message)] => {
+                assert!(gpu.is_none() && message.contains("the processor computes the images: "), "{message}");
+            }
+            _ => panic!("{lines:?}"),
+        }
+    }
+    lend_device(None);
+}
+
+#[test]
+fn screens_do_not_depend_on_the_device() {
+    for params in [", width = 641, height = 359", ", titles = \"a;b\", max_age_ms = 0", ", width = 2001, height = 1300"]
+    {
+        check::<Screen>(params, 2, |node, at| screen(node, at as u32));
+    }
+}
+
+#[test]
+fn images_with_a_bar_do_not_depend_on_the_device() {
+    const TEXTS: [&str; 6] = ["", "12 mm", "12 mm", "13 mm", "13 mm\nthe arm follows the tip", "12 mm"];
+    for params in ["", ", max_aspect = 1.2", ", bar_lines = 3, text_scale = 3.5", ", wanted_width = 700"] {
+        let tick = |node: &mut Harness<Overlay>, at: usize| overlay(node, TEXTS[at], at as u32);
+        check::<Overlay>(&format!("{BELOW}{params}"), TEXTS.len(), tick);
+    }
+    // What is drawn on the image.
+    check::<Overlay>(BELOW, 3, |node, at| {
+        if at == 1 {
+            node.input_value("roi", Roi { x: 20, y: 30, width: 50, height: 40 });
+        }
+        overlay(node, "12 mm", at as u32)
+    });
+}
+
+/// A tick of `colorize`: depths with unknown ones and ones beyond the range.
+fn colorize(node: &mut Harness<Colorize>, shift: f32) -> Vec<u8> {
+    let (width, height) = (301, 143);
+    let depth = |k: usize| match k % 97 {
+        0 => f32::NAN,
+        1 => f32::INFINITY,
+        2 => -f32::INFINITY,
+        3 => -1e9,
+        4 => 1e9,
+        _ => shift + 40.0 + (k % width) as f32 * 0.1 + (k / width) as f32 * 0.2,
+    };
+    let depths: Vec<f32> = (0..width * height).map(depth).collect();
+    node.input_image_from_device::<Depth>("depth", width, height, &depths);
+    rows(node)
+}
+
+#[test]
+fn maps_in_colours_do_not_depend_on_the_device() {
+    for params in [
+        ", scale_beside = true",
+        ", scale_beside = true, low = 45.0, high = 60.0, colors = \"viridian\"",
+        ", scale_bar = false, colors = \"gray\"",
+        "",
+    ] {
+        check::<Colorize>(params, 4, |node, at| colorize(node, [0.0, 0.5, 300.0, 301.0][at]));
+    }
+}
+
+/// Submissions until [`breaking`] fails.
+static LEFT: AtomicI32 = AtomicI32::new(i32::MAX);
+
+/// The device of [`table`] until it breaks.
+fn breaking() -> Option<&'static Device> {
+    unsafe extern "C" fn submit(ctx: *mut c_void, steps: *const DeviceStep, len: usize) -> Status {
+        match table().and_then(|table| table.submit) {
+            // SAFETY: the caller's promise to this function is that to the device's.
+            Some(submit) if LEFT.fetch_sub(1, Ordering::Relaxed) > 0 => unsafe { submit(ctx, steps, len) },
+            _ => abi::STATUS_ERROR,
+        }
+    }
+    static TABLE: OnceLock<Option<Device>> = OnceLock::new();
+    TABLE.get_or_init(|| table().map(|table| Device { submit: Some(submit), ..*table })).as_ref()
+}
+
+/// The device breaks after each of the first submissions; later it is chosen again.
+fn check_lost<N: Node>(params: &str, submissions: i32, tick: impl Fn(&mut Harness<N>) -> Vec<u8>) {
+    let _alone = alone();
+    let Some(gpu) = breaking() else { return };
+    lend_device(Some(gpu));
+    let expected = tick(&mut open::<N>("cpu", params));
+    for left in 0..=submissions {
+        LEFT.store(left, Ordering::Relaxed);
+        let mut node = open::<N>("gpu", params);
+        let warnings = |node: &Harness<N>| node.logs().iter().filter(|line| line.level == Level::Warn).count();
+        let lost = usize::from(left < submissions);
+        for _ in 0..1 + lost {
+            assert!(tick(&mut node) == expected, "after {left} submissions");
+            assert_eq!(warnings(&node), lost, "after {left} submissions");
+        }
+        LEFT.store(i32::MAX, Ordering::Relaxed);
+        for device in ["cpu", "gpu"] {
+            node.set_params(&format!("params = {{ device = \"{device}\"{params} }}")).unwrap();
+            assert!(tick(&mut node) == expected, "{device} after {left} submissions");
+        }
+        assert_eq!(warnings(&node), lost);
+    }
+    lend_device(None);
+}
+
+#[test]
+fn the_processor_makes_images_that_the_device_loses() {
+    // The harness copies two images to the GPU, the node submits all its work at once.
+    check_lost::<Screen>(", width = 641, height = 359", 3, |node| screen(node, 0));
+    check_lost::<Overlay>(BELOW, 2, |node| overlay(node, "12 mm", 0));
+    // The map, the sample, the colours.
+    check_lost::<Colorize>(", scale_beside = true", 3, |node| colorize(node, 0.0));
+}
