@@ -109,6 +109,9 @@ struct WholeGraph {
     /// Graph with a `phantom`, whose views are rendered beforehand; `parts` is next to it.
     #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
     graph: PathBuf,
+    /// Sets a parameter; overrides the file; repeatable.
+    #[arg(long, value_name = "NODE.PARAM=VALUE")]
+    set: Vec<String>,
     #[command(flatten)]
     given: Given,
 }
@@ -205,16 +208,16 @@ fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
                 common,
             )
         }
-        Bench::System(System { common, whole: WholeGraph { graph, given }, size, rate_hz, trace }) => {
+        Bench::System(System { common, whole: WholeGraph { graph, set, given }, size, rate_hz, trace }) => {
             interrupt::listen();
-            let (graph, given, trace) = (graph.clone(), given.options(&[]), trace.clone());
+            let (graph, given, trace) = (graph.clone(), given.options(set), trace.clone());
             let (size, rate_hz) = (*size, *rate_hz);
             let options = bench::system::Options { quick: common.quick, graph, given, size, rate_hz, trace };
             (bench::system::measure(session, &options)?, common)
         }
-        Bench::Cost(Cost { common, whole: WholeGraph { graph, given }, plot }) => {
+        Bench::Cost(Cost { common, whole: WholeGraph { graph, set, given }, plot }) => {
             interrupt::listen();
-            let (graph, given, plot) = (graph.clone(), given.options(&[]), plot.clone());
+            let (graph, given, plot) = (graph.clone(), given.options(set), plot.clone());
             let options = bench::cost::Options { quick: common.quick, graph, given, plot };
             (bench::cost::measure(session, &options)?, common)
         }
