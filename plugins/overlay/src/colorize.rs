@@ -3,14 +3,13 @@
 use panoscope_imaging::draw::{self, Colormap, ScaleBar};
 use panoscope_imaging::fit::Fit;
 use panoscope_node::abi::Scalar;
-use panoscope_node::device::{Device, DeviceImage};
+use panoscope_node::device::{Device, DeviceImage, OnDevice};
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Depth, Disparity, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
     Slot, Validation, Value, View, ViewMut,
 };
 
 use crate::fit::{enlargement, usual_range};
-use crate::gpu::OnDevice;
 use crate::gpu::colors::MapPainter;
 
 /// Colour maps.
@@ -292,7 +291,7 @@ impl Colorize {
         layout: &Layout,
         labels: usize,
         params: &Settings,
-    ) -> bool {
+    ) -> Result<bool> {
         let Self { auto, strip, on_device, .. } = self;
         let (width, height) = layout.size;
         on_device.attempt(cx, |painter| {
@@ -353,7 +352,7 @@ impl Node for Colorize {
         let factor = if is_beside { enlargement(map.size().0, params.wanted_width) } else { 1 };
         let layout = Layout::of((factor * map.size().0, factor * map.size().1), is_beside);
         let is_plain = factor == 1 && is_beside == params.scale_bar && map.is_from_device();
-        if is_plain && self.paint_on_device(cx, &map, &mut out.image, &layout, labels, params) {
+        if is_plain && self.paint_on_device(cx, &map, &mut out.image, &layout, labels, params)? {
             return Ok(());
         }
         let plane = map.view();

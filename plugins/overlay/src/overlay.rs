@@ -5,7 +5,7 @@ use std::fmt::Write;
 use panoscope_imaging::draw::{self, Area, Colormap, Labels};
 use panoscope_imaging::fit::Fit;
 use panoscope_node::abi::{Detection, Homography, Roi, Scalar, Tip};
-use panoscope_node::device::Device;
+use panoscope_node::device::{Device, OnDevice};
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, List, Mask, Node, NodeError, NodeInfo, Open,
     Params, Ports, Result, Slot, Table, Text, Validation, Value, View, ViewMut,
@@ -14,7 +14,6 @@ use panoscope_node::{
 use crate::bar::{self, Bar};
 use crate::colorize::{AutoRange, Colors};
 use crate::fit::{enlargement, fitted_size};
-use crate::gpu::OnDevice;
 use crate::gpu::below::{BarText, Below};
 use crate::marks::{self, Pen, Words};
 use crate::nearness;
@@ -363,7 +362,7 @@ impl Overlay {
         slot: &mut Slot<'_, Bgr8>,
         (lines, scale): (usize, f32),
         params: &Settings,
-    ) -> bool {
+    ) -> Result<bool> {
         let Self { bar, bar_text: text, words, on_device, .. } = self;
         text.title.clone_from(&params.label);
         text.words.clone_from(words);
@@ -396,7 +395,7 @@ impl Overlay {
         let wanted_px = if params.max_aspect > 0.0 { width as f32 / params.max_aspect - height as f32 } else { 0.0 };
         let (lines, bar_scale) = bar::filling(params.bar_lines, factor as f32 * pen.text_scale, wanted_px);
         let is_plain = factor == 1 && image.is_from_device() && layers.is_empty(params);
-        if is_plain && self.join_on_device(cx, image, slot, (lines, bar_scale), params) {
+        if is_plain && self.join_on_device(cx, image, slot, (lines, bar_scale), params)? {
             return Ok(());
         }
         let bar_px = bar::height_px(lines, bar_scale);

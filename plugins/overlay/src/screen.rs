@@ -5,13 +5,12 @@ use std::time::Duration;
 use panoscope_imaging::composition::{Cell, Composition, Frame, Size, Tile};
 use panoscope_imaging::draw;
 use panoscope_imaging::fit::Fit;
-use panoscope_node::device::Device;
+use panoscope_node::device::{Device, OnDevice};
 use panoscope_node::{
     AnyImage, Bgr8, Context, Image, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, ViewMut,
 };
 
 use crate::fit::{bytes, bytes_size, fitted_size};
-use crate::gpu::OnDevice;
 use crate::gpu::fit::SmallImages;
 
 /// Input ports of `screen`.
@@ -210,7 +209,7 @@ impl Node for Screen {
         let large = pictures().zip(&self.shown).enumerate().filter_map(|(number, (picture, shown))| {
             Some((number, shrunk_on_device(&picture?, shown)?, (shown.width, shown.height)))
         });
-        self.on_device.attempt(cx, |small| small.make(large));
+        self.on_device.attempt(cx, |small| small.make(large))?;
         for (number, (picture, shown)) in pictures().zip(&self.shown).enumerate() {
             let small = self.on_device.get().and_then(|small| small.get(number));
             if let Some(pixels) = small.or_else(|| picture.as_ref().and_then(bytes)) {

@@ -6,7 +6,7 @@ use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams, WlsSolver,
 };
 use panoscope_imaging::{Rect, Report};
-use panoscope_node::device::{Device, given_up, is_done};
+use panoscope_node::device::{Device, OnDevice, given_up};
 use panoscope_node::{
     AnyImage, Confidence, Context, Disparity, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot,
     Validation, View, ViewMut, error,
@@ -268,9 +268,8 @@ impl DisparityWlsParams {
 /// Weighted-least-squares filter.
 pub struct DisparityWls {
     kernel: WlsFilter,
-    device: Device,
     /// Filters maps that are not shrunk on the GPU.
-    gpu: Option<GpuWlsFilter>,
+    gpu: OnDevice<GpuWlsFilter>,
     coarse: Coarse,
     /// Columns of the mask in each row.
     lit: Vec<Range<usize>>,
@@ -281,12 +280,13 @@ pub struct DisparityWls {
 impl DisparityWls {
     /// Chooses what solves the systems.
     fn choose(&mut self, device: Device, report: &dyn Report) {
-        if device != self.device {
-            self.device = device;
-            let opened = device.open(report, |gpu| Ok((GpuWlsSolver::new(gpu)?, GpuWlsFilter::new(gpu)?)));
-            let (solver, filter) = opened.unzip();
-            self.kernel.set_solver(solver.map(|solver| Box::new(solver) as Box<dyn WlsSolver>));
-            self.gpu = filter;
+        let mut solver: Option<Box<dyn WlsSolver>> = None;
+        let has_changed = self.gpu.choose(device, report, |gpu| {
+            solver = Some(Box::new(GpuWlsSolver::new(gpu)?));
+            GpuWlsFilter::new(gpu)
+        });
+        if has_changed {
+            self.kernel.set_solver(solver.filter(|_| self.gpu.get().is_some()));
         }
     }
 
@@ -298,7 +298,9 @@ impl DisparityWls {
         out: &mut Out<'_>,
         trust: &TrustParams,
     ) -> Result<bool> {
-        let Some(gpu) = &mut self.gpu else { return Ok(false) };
+        if self.gpu.get().is_none() {
+            return Ok(false);
+        }
         let (width, height) = (input.disparity.width(), input.disparity.height());
         let beyond_px = trust.beyond_px(width);
         if let Some(mask) = &input.mask {
@@ -309,7 +311,7 @@ impl DisparityWls {
                 [strip.start, strip.end, lit.start, lit.end].map(|x| x as u32)
             }));
         }
-        let mut make = || -> Result<()> {
+        let is_made = self.gpu.attempt(cx, |gpu| {
             let mask = input.mask.as_ref().map(Image::on_device).transpose()?;
             let images = WlsImages {
                 guide: guide.on_device()?,
@@ -325,9 +327,7 @@ impl DisparityWls {
                 },
             };
             gpu.compute(&images, self.kernel.params())
-        };
-        let made = make();
-        let is_made = is_done(made, &mut self.gpu, cx)?;
+        })?;
         if !is_made {
             self.kernel.set_solver(None);
         }
@@ -352,8 +352,7 @@ impl Node for DisparityWls {
     fn open(open: &Open<'_>, params: &DisparityWlsParams) -> Result<Self> {
         let mut node = Self {
             kernel: WlsFilter::new(params.kernel(1))?,
-            device: Device::Cpu,
-            gpu: None,
+            gpu: OnDevice::default(),
             coarse: Coarse::default(),
             lit: Vec::new(),
             rows: Vec::new(),

@@ -4,7 +4,7 @@ use panoscope_imaging::stereo::{
     BlockMatcher, BlockMatchingParams, PairMatcher, PairParams, StereoError, StereoKernel, Tile, project_right,
 };
 use panoscope_imaging::{Parallel, Rect, Report, View, ViewMut};
-use panoscope_node::device::{Device, given_up, is_done};
+use panoscope_node::device::{Device, OnDevice, given_up};
 use panoscope_node::{Context, Result};
 
 use crate::gpu::pair::{GpuPairMatcher, ViewsThere};
@@ -13,8 +13,7 @@ use crate::matcher::{In, Out};
 /// A block matcher that works on the device of its choice.
 pub struct DeviceMatcher {
     processor: BlockMatcher,
-    gpu: Option<GpuPairMatcher>,
-    device: Device,
+    gpu: OnDevice<GpuPairMatcher>,
     fault: Option<String>,
 }
 
@@ -24,7 +23,7 @@ impl DeviceMatcher {
     /// # Errors
     /// A parameter is out of range.
     pub fn new(params: BlockMatchingParams) -> Result<Self, StereoError> {
-        Ok(Self { processor: BlockMatcher::new(params)?, gpu: None, device: Device::Cpu, fault: None })
+        Ok(Self { processor: BlockMatcher::new(params)?, gpu: OnDevice::default(), fault: None })
     }
 
     /// Changes the parameters; memory is kept.
@@ -37,10 +36,7 @@ impl DeviceMatcher {
 
     /// Chooses the device.
     pub fn choose(&mut self, device: Device, report: &dyn Report) {
-        if device != self.device {
-            self.device = device;
-            self.gpu = device.open(report, GpuPairMatcher::new);
-        }
+        self.gpu.choose(device, report, GpuPairMatcher::new);
     }
 
     /// Matches a pair whose views and maps stay on the GPU. Whether it did: without a GPU, or with one that fails, the
@@ -57,24 +53,21 @@ impl DeviceMatcher {
         roi: Rect,
         params: &PairParams,
     ) -> Result<bool> {
-        let Some(gpu) = &mut self.gpu else { return Ok(false) };
         let (width, height) = (input.left.width(), input.left.height());
-        let mut make = || {
+        self.gpu.attempt(cx, |gpu| {
             let images = [input.left.on_device()?, input.right.on_device()?];
             let left = out.disparity.alloc_on_device(width, height)?;
             let right = out.disparity_right.is_read().then(|| out.disparity_right.alloc_on_device(width, height));
             let views = ViewsThere { images, fetch: &|| [input.left.view(), input.right.view()] };
             let params = (self.processor.params(), params);
             Ok(gpu.compute(pair, cx, views, roi, params, cx.pool(), left, right.transpose()?)?)
-        };
-        let made = make();
-        is_done(made, &mut self.gpu, cx)
+        })
     }
 
     /// Whether the GPU did its work; one that failed is given up.
     fn has_worked(&mut self, worked: Result<()>) -> bool {
         if let Err(error) = &worked {
-            self.gpu = None;
+            self.gpu.give_up();
             self.fault = Some(error.to_string());
         }
         worked.is_ok()
@@ -98,7 +91,7 @@ impl StereoKernel for DeviceMatcher {
         mut disparity: ViewMut<'_, f32>,
         mut disparity_right: Option<ViewMut<'_, f32>>,
     ) -> Result<(), StereoError> {
-        if let Some(gpu) = &mut self.gpu {
+        if let Some(gpu) = self.gpu.get_mut() {
             let (min_disparity_px, search_px) = range;
             let params = BlockMatchingParams { min_disparity_px, search_px, ..self.processor.params().clone() };
             params.validate()?;
@@ -120,7 +113,7 @@ impl StereoKernel for DeviceMatcher {
         mut disparity: ViewMut<'_, f32>,
         mut disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError> {
-        if let Some(gpu) = &mut self.gpu {
+        if let Some(gpu) = self.gpu.get_mut() {
             let worked =
                 gpu.blocks.compute_tiles(self.processor.params(), views[0], views[1], tiles, &mut disparity, pool);
             if self.has_worked(worked) {

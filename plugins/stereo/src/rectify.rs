@@ -6,7 +6,7 @@ use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{Rectification, RemapTable};
 use panoscope_imaging::{Rect, View, ViewMut};
 use panoscope_node::abi::{Calibration, Camera};
-use panoscope_node::device::{Device, is_done};
+use panoscope_node::device::{Device, OnDevice};
 use panoscope_node::{
     Bgr8, Choice, Context, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Retained, Slot, Validation, Value,
     error,
@@ -92,7 +92,7 @@ struct Maps {
     /// What of the views the cameras cover.
     valid: Option<[LitPart; 2]>,
     /// The tables on the GPU.
-    rectifier: Option<Rectifier>,
+    rectifier: OnDevice<Rectifier>,
     device: Device,
 }
 
@@ -125,7 +125,8 @@ impl Maps {
         if source.is_rectified != 0 || is_level(&small, &target, &rectification) {
             // Views that stay as they are need nothing.
             let gpu = if factor > 1 { device } else { Device::Cpu };
-            let rectifier = gpu.open(cx, |gpu| Rectifier::new(gpu, factor, None));
+            let mut rectifier = OnDevice::default();
+            rectifier.choose(gpu, cx, |gpu| Rectifier::new(gpu, factor, None));
             return Ok(Self { source: *source, factor, target, tables: None, valid: None, rectifier, device });
         }
         let (left, right) = (calibration::camera(&small.left)?, calibration::camera(&small.right)?);
@@ -143,7 +144,8 @@ impl Maps {
             }
         }
         let valid = Some(tables.each_ref().map(RemapTable::valid));
-        let rectifier = device.open(cx, |gpu| Rectifier::new(gpu, factor, Some(tables.each_ref())));
+        let mut rectifier = OnDevice::default();
+        rectifier.choose(device, cx, |gpu| Rectifier::new(gpu, factor, Some(tables.each_ref())));
         Ok(Self { source: *source, factor, target, tables: Some(tables), valid, rectifier, device })
     }
 }
@@ -250,18 +252,15 @@ fn make_masks(
 
 /// Shrinks and turns both views on the GPU, where they stay. Whether it did; a GPU that fails is given up.
 fn make_on_gpu(maps: &mut Maps, input: &In<'_>, out: &mut Out<'_>, cx: &Context<'_>) -> Result<bool> {
-    let Some(rectifier) = &mut maps.rectifier else { return Ok(false) };
     let size = (maps.target.left.width as usize, maps.target.left.height as usize);
-    let slots = [(&input.left, &mut out.left), (&input.right, &mut out.right)];
-    let mut jobs = [None, None];
-    let made = slots.into_iter().zip(&mut jobs).try_for_each(|((view, slot), job)| {
-        if slot.is_read() {
+    maps.rectifier.attempt(cx, |rectifier| {
+        let slots = [(&input.left, &mut out.left), (&input.right, &mut out.right)];
+        let mut jobs = [None, None];
+        for ((view, slot), job) in slots.into_iter().zip(&mut jobs).filter(|((_, slot), _)| slot.is_read()) {
             *job = Some(RectifyJob { view: view.on_device()?, out: slot.alloc_on_device(size.0, size.1)? });
         }
-        Ok(())
-    });
-    let made = made.and_then(|()| rectifier.run(jobs));
-    is_done(made, &mut maps.rectifier, cx)
+        rectifier.run(jobs)
+    })
 }
 
 /// Hands a view on, shrunk and turned by the map, if there is one.

@@ -1,9 +1,9 @@
 //! `reproject`: disparity to depth and coloured points in mm (thesis, fig. 3.9).
 
 use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams, SmallHoles};
-use panoscope_imaging::{Rect, Report, SharedMut};
+use panoscope_imaging::{Rect, SharedMut};
 use panoscope_node::abi::{Calibration, CloudPoint};
-use panoscope_node::device::{Device, is_done};
+use panoscope_node::device::{Device, OnDevice};
 use panoscope_node::{
     AnyImage, Confidence, Context, Depth, Disparity, Image, Node, NodeInfo, Open, Parallel, Params, PointCloud, Ports,
     Result, Slot, Validation, Value, View, ViewMut, error,
@@ -80,19 +80,10 @@ pub struct Reproject {
     views: Option<(Calibration, Rectification)>,
     depth: Vec<f32>,
     holes: SmallHoles,
-    gpu: Option<GpuReprojector>,
-    device: Device,
+    on_device: OnDevice<GpuReprojector>,
 }
 
 impl Reproject {
-    /// Chooses the device.
-    fn choose(&mut self, device: Device, report: &dyn Report) {
-        if device != self.device {
-            self.device = device;
-            self.gpu = device.open(report, GpuReprojector::new);
-        }
-    }
-
     /// Makes what is read on the GPU, where it stays. Whether it did; a GPU that fails is given up.
     fn make_there(
         &mut self,
@@ -101,10 +92,10 @@ impl Reproject {
         out: &mut Out<'_>,
         params: &ReprojectNodeParams,
     ) -> Result<bool> {
-        let (Some(gpu), Some((_, views))) = (&mut self.gpu, &self.views) else { return Ok(false) };
+        let Some((_, views)) = &self.views else { return Ok(false) };
         let (width, height) = (views.width, views.height);
         let share = |count: usize| count as f64 / (width * height) as f64;
-        let mut make = || -> Result<()> {
+        self.on_device.attempt(cx, |gpu| {
             let disparity = input.disparity.on_device()?;
             let confidence = input.confidence.as_ref().map(Image::on_device).transpose()?;
             let depth = out.depth.alloc_on_device(width, height)?;
@@ -122,9 +113,7 @@ impl Reproject {
             cx.metric("filled_share", share(filled.len()));
             let cloud = out.cloud.alloc_cloud_on_device(width, height)?;
             gpu.cloud(depth, colours.on_device()?, filled, views, cloud)
-        };
-        let made = make();
-        is_done(made, &mut self.gpu, cx)
+        })
     }
 }
 
@@ -178,9 +167,9 @@ impl Node for Reproject {
 
     fn open(open: &Open<'_>, params: &ReprojectNodeParams) -> Result<Self> {
         let (views, depth, holes) = Default::default();
-        let mut node = Self { views, depth, holes, gpu: None, device: Device::Cpu };
-        node.choose(params.device, open);
-        Ok(node)
+        let mut on_device = OnDevice::default();
+        on_device.choose(params.device, open, GpuReprojector::new);
+        Ok(Self { views, depth, holes, on_device })
     }
 
     fn process<'f>(
@@ -194,7 +183,7 @@ impl Node for Reproject {
             self.views = None;
             self.views = Some((*input.calibration, calibration::of_rectified_views(&input.calibration)?));
         }
-        self.choose(params.device, cx);
+        self.on_device.choose(params.device, cx, GpuReprojector::new);
         let Some((_, views)) = &self.views else { return Ok(()) };
         let (width, height) = (input.disparity.width(), input.disparity.height());
         if (width, height) != (views.width, views.height) {

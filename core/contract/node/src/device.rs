@@ -63,18 +63,60 @@ pub fn given_up(reason: &dyn std::fmt::Display) -> String {
     format!("the processor computes the images: {reason}")
 }
 
-/// Whether the GPU did its work. With one that failed the node continues without it, `gpu`, after a warning.
-///
-/// # Errors
-/// There was no frame memory for an output, which is not the GPU's fault.
-pub fn is_done<T>(worked: Result<()>, gpu: &mut Option<T>, report: &dyn Report) -> Result<bool> {
-    match worked {
-        Ok(()) => Ok(true),
-        Err(error) if error.is_exhausted() => Err(error),
-        Err(error) => {
-            *gpu = None;
-            report.warn(&given_up(&error));
-            Ok(false)
+/// What a node does on the device that its parameter `device` names.
+#[derive(Debug)]
+pub struct OnDevice<T> {
+    device: Device,
+    /// `None` for the processor, without a GPU, and after the GPU failed.
+    work: Option<T>,
+}
+
+impl<T> Default for OnDevice<T> {
+    fn default() -> Self {
+        Self { device: Device::Cpu, work: None }
+    }
+}
+
+impl<T> OnDevice<T> {
+    /// Opens the device if the parameter has changed; warns if it cannot be opened. Returns whether it has changed.
+    pub fn choose(&mut self, device: Device, report: &dyn Report, new: impl FnOnce(Gpu) -> Result<T>) -> bool {
+        let has_changed = device != self.device;
+        if has_changed {
+            self.device = device;
+            self.work = device.open(report, new);
+        }
+        has_changed
+    }
+
+    /// What is done on the GPU.
+    pub fn get(&self) -> Option<&T> {
+        self.work.as_ref()
+    }
+
+    /// What is done on the GPU.
+    pub fn get_mut(&mut self) -> Option<&mut T> {
+        self.work.as_mut()
+    }
+
+    /// Leaves all further work to the processor, until another device is chosen.
+    pub fn give_up(&mut self) {
+        self.work = None;
+    }
+
+    /// Whether `job` was done on the GPU. If it fails, warns and leaves all further work to the processor.
+    ///
+    /// # Errors
+    /// There was no frame memory for an output, which is not the GPU's fault.
+    pub fn attempt(&mut self, report: &dyn Report, job: impl FnOnce(&mut T) -> Result<()>) -> Result<bool> {
+        let Some(work) = &mut self.work else { return Ok(false) };
+        match job(work) {
+            Ok(()) => Ok(true),
+            Err(error) if error.is_exhausted() => Err(error),
+            Err(error) => {
+                self.give_up();
+                report.warn(&given_up(&error));
+                Ok(false)
+            }
         }
     }
 }
@@ -179,9 +221,7 @@ impl Gpu {
         let status = unsafe { read(self.table.ctx, buffer, 0, to.as_mut_ptr(), to.len()) };
         if status == abi::STATUS_OK { Ok(()) } else { Err(self.failed()) }
     }
-}
 
-impl Gpu {
     /// Waits for all work and copies the first numbers of a buffer into `to`, see [`Self::read`].
     ///
     /// # Errors

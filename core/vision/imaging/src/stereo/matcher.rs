@@ -4,7 +4,7 @@ use std::fmt::Debug;
 
 use super::StereoError;
 use super::matching::{Maps, PaddedPair, Span, Target, again};
-use super::pair_matcher::StereoKernel;
+use super::stereo_kernel::StereoKernel;
 use super::tile::{Tile, TileMap, TileWork, make_room, max_lanes, project_right};
 use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 

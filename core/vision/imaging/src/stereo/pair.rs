@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use super::StereoError;
 use super::matching::again;
-use super::pair_matcher::StereoKernel;
+use super::stereo_kernel::StereoKernel;
 use super::tile::Tile;
 use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
