@@ -1,7 +1,7 @@
 //! The host's monotonic clock, cheap enough to be read at every node boundary.
 //!
 //! Where the processor has an invariant time-stamp counter it is read directly (about 10 ns instead of 25 ns). The
-//! counter's rate is measured over 3 ms at the start and again by [`keep`] over increasing intervals. The clock
+//! counter's rate is measured over 3 ms at the start and again by `keep` over increasing intervals. The clock
 //! corrects its error by running slightly faster or slower. If the counter does not keep time, the clock falls back to
 //! the operating system's.
 //!

@@ -73,7 +73,7 @@ impl Histogram {
         self.max_ns.load(Ordering::Relaxed)
     }
 
-    /// Counts per bucket, for [`Self::quantile_between_ns`] of the times counted since.
+    /// Counts per bucket, for [`quantile_between_ns`].
     pub fn counts(&self) -> Vec<u64> {
         self.counts.iter().map(|c| c.load(Ordering::Relaxed)).collect()
     }

@@ -33,7 +33,7 @@ impl GpuReprojector {
         Ok(Self { gpu, depth, cloud, fill, calls, total, filled })
     }
 
-    /// Writes the depths of a disparity map, mm, NaN where unknown, see [`panoscope_imaging::stereo::reproject`]. All
+    /// Writes the depths of a disparity map, mm, NaN where unknown, see [`panoscope_imaging::stereo::reproject()`]. All
     /// images have one size. Returns how many are known.
     ///
     /// # Errors

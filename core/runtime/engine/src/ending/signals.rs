@@ -3,7 +3,7 @@
 //! of that file's node.
 //!
 //! `timeout` and shells send a signal twice, to a process and to its group: signals within one second count as one
-//! request. Later ones end the process at once. [`Duty`] says which code acknowledges the first one; if none does in
+//! request. Later ones end the process at once. `Duty` says which code acknowledges the first one; if none does in
 //! time, the process ends anyway.
 
 use std::ffi::c_int;

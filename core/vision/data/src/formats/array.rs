@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use crate::formats::Pixels;
 
-/// A format of [`write`].
+/// A format of [`write()`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArrayFormat {
     /// Portable float map, little-endian, rows from the bottom up, as for Middlebury's disparity maps. Only f32.

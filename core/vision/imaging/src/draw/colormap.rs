@@ -43,7 +43,7 @@ const VIRIDIAN: [[f32; 3]; 9] = [
 ];
 
 impl Colormap {
-    /// Colour at `place`, clamped to 0..=1; [`UNKNOWN`] for NaN.
+    /// Colour at `place`, clamped to 0..=1; dark gray for NaN.
     pub fn at(self, place: f32) -> Color {
         if place.is_nan() {
             return UNKNOWN;

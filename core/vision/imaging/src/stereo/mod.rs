@@ -1,7 +1,7 @@
 //! Stereo: rectification, matching, filtering, reprojection.
 //!
 //! Disparities are f32, in full-resolution pixels of the left rectified view, positive when
-//! `x_right = x_left - disparity`, NaN where nothing is known. Every stage takes a [`Rect`] and
+//! `x_right = x_left - disparity`, NaN where nothing is known. Every stage takes a [`Rect`](crate::Rect) and
 //! computes nothing outside it.
 
 mod bilateral_grid;

@@ -59,7 +59,7 @@ impl Search {
     /// A search without history.
     ///
     /// # Errors
-    /// The same as those of [`Survey::new`].
+    /// None with its constants, which the kernel checks.
     pub fn new() -> Result<Self, StereoError> {
         Ok(Self {
             survey: Survey::new()?,
