@@ -312,7 +312,7 @@ class Measure(Node):
 
 class Mosaic(Node):
     mosaic: Output[Literal["image"]]
-    """The mosaic; black where nothing has been seen."""
+    """The mosaic; black where nothing has been seen. The dark rim of a scope's frames is not shown."""
     homography: Output[Literal["homography"]]
     """Maps pixels of this frame to those of the first keyframe. State: fresh, or lost (with the last good map)."""
     view: Output[Literal["homography"]]
