@@ -14,7 +14,6 @@ use panoscope_node::{
 
 use crate::coarse::{Coarse, Job, factor};
 use crate::colours::Colours;
-use crate::gpu::wls::GpuWlsSolver;
 use crate::gpu::wls_filter::{GpuWlsFilter, WlsImages};
 use crate::matcher::check_kernel;
 
@@ -280,13 +279,9 @@ pub struct DisparityWls {
 impl DisparityWls {
     /// Chooses what solves the systems.
     fn choose(&mut self, device: Device, report: &dyn Report) {
-        let mut solver: Option<Box<dyn WlsSolver>> = None;
-        let has_changed = self.gpu.choose(device, report, |gpu| {
-            solver = Some(Box::new(GpuWlsSolver::new(gpu)?));
-            GpuWlsFilter::new(gpu)
-        });
-        if has_changed {
-            self.kernel.set_solver(solver.filter(|_| self.gpu.get().is_some()));
+        if self.gpu.choose(device, report, GpuWlsFilter::new) {
+            let solver = self.gpu.get().map(GpuWlsFilter::solver);
+            self.kernel.set_solver(solver.map(|solver| Box::new(solver) as Box<dyn WlsSolver>));
         }
     }
 

@@ -21,7 +21,8 @@ pub struct MapPainter {
     colors: Store,
     strip: Store,
     numbers: Vec<f32>,
-    /// The strip as it is on the GPU.
+    /// The colours and the strip that are on the GPU.
+    held: Option<Colormap>,
     drawn: Vec<u8>,
 }
 
@@ -43,7 +44,7 @@ impl MapPainter {
         let pick = gpu.kernel("pick", &[include_str!("pick.wgsl")])?;
         let paint = gpu.kernel("colors", &[include_str!("colors.wgsl"), PIXELS])?;
         let (sizes, picked, colors, strip) = Default::default();
-        Ok(Self { gpu, pick, paint, sizes, picked, colors, strip, numbers: Vec::new(), drawn: Vec::new() })
+        Ok(Self { gpu, pick, paint, sizes, picked, colors, strip, numbers: Vec::new(), held: None, drawn: Vec::new() })
     }
 
     /// Reads every n-th number of every n-th row of a map, for two n.
@@ -88,7 +89,7 @@ impl MapPainter {
         let [map_row, row, strip_row] = [map.stride_bytes / 4, out.stride_bytes / 4, 3 * (out.width - map.width)];
         let words = [map.width, out.width, map.height, map_row, row, strip_row].map(|word| word as u32);
         let words = bytes_of_words(&[&words[..], &[low.to_bits(), scale.to_bits()]].concat());
-        let colors = colors_of(colors);
+        let table = if self.held.replace(colors) == Some(colors) { Vec::new() } else { colors_of(colors) };
         let gpu = self.gpu;
         let buffers = [
             self.sizes.reserve(gpu, SIZES_BYTES)?,
@@ -99,7 +100,7 @@ impl MapPainter {
         ];
         let mut steps = Steps::default();
         steps.write(buffers[0], 0, &words);
-        steps.write(buffers[2], 0, &colors);
+        steps.write(buffers[2], 0, &table);
         if strip != self.drawn {
             self.drawn.clear();
             self.drawn.extend_from_slice(strip);

@@ -2,6 +2,8 @@
 //!
 //! A thread solves a whole row or column, as on the processor; rows and columns are solved side by side.
 
+use std::sync::Arc;
+
 use panoscope_imaging::stereo::{SolveError, WlsParams, WlsSolver};
 use panoscope_imaging::{Rect, View};
 use panoscope_node::device::{Gpu, Kernel, MARGIN_BYTES, Steps, Store, bytes_of_words};
@@ -10,13 +12,18 @@ use panoscope_node::{Result, error};
 /// Size of what a shader reads about a call, bytes.
 const SIZE_BYTES: usize = 32;
 
+#[derive(Debug)]
+struct Kernels {
+    weigh: Kernel,
+    /// Along columns, and along rows.
+    lines: [Kernel; 2],
+}
+
 /// Solves the planes of a map. Keeps its memory on the GPU.
 #[derive(Debug)]
 pub struct GpuWlsSolver {
     gpu: Gpu,
-    weigh: Kernel,
-    /// Along columns, and along rows.
-    lines: [Kernel; 2],
+    kernels: Arc<Kernels>,
     guide: Store,
     /// Weights to the lower and to the right neighbour.
     weights: [Store; 2],
@@ -35,8 +42,17 @@ impl GpuWlsSolver {
         let weigh = gpu.kernel("wls weights", &[sizes, include_str!("wls_weights.wgsl")])?;
         let lines = |constant: &str| gpu.kernel("wls lines", &[constant, sizes, include_str!("wls_lines.wgsl")]);
         let lines = [lines("const IS_ROWS = false;\n")?, lines("const IS_ROWS = true;\n")?];
+        Ok(Self::with(gpu, Arc::new(Kernels { weigh, lines })))
+    }
+
+    fn with(gpu: Gpu, kernels: Arc<Kernels>) -> Self {
         let (guide, weights, planes, factors, rounds) = Default::default();
-        Ok(Self { gpu, weigh, lines, guide, weights, planes, factors, rounds })
+        Self { gpu, kernels, guide, weights, planes, factors, rounds }
+    }
+
+    /// A solver with the same kernels and separate memory.
+    pub fn another(&self) -> Self {
+        Self::with(self.gpu, Arc::clone(&self.kernels))
     }
 
     fn run(
@@ -95,10 +111,10 @@ impl GpuWlsSolver {
             let sizes = store.reserve(gpu, SIZE_BYTES)?;
             steps.write(sizes, 0, words);
             if round == 0 {
-                steps.run(&self.weigh, &[sizes, source, right, down], [roi.width, roi.height]);
+                steps.run(&self.kernels.weigh, &[sizes, source, right, down], [roi.width, roi.height]);
             }
-            steps.run(&self.lines[1], &[sizes, right, held, held_second, factors], [roi.height, 1]);
-            steps.run(&self.lines[0], &[sizes, down, held, held_second, factors], [roi.width, 1]);
+            steps.run(&self.kernels.lines[1], &[sizes, right, held, held_second, factors], [roi.height, 1]);
+            steps.run(&self.kernels.lines[0], &[sizes, down, held, held_second, factors], [roi.width, 1]);
         }
         gpu.submit(&steps)
     }

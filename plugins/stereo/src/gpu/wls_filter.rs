@@ -90,6 +90,11 @@ impl GpuWlsFilter {
         })
     }
 
+    /// A solver for maps that are filtered in the host's memory.
+    pub fn solver(&self) -> GpuWlsSolver {
+        self.solver.another()
+    }
+
     /// Room for the confidence of a map of this size when nobody reads it.
     ///
     /// # Errors
