@@ -1,82 +1,14 @@
 //! Finds where an instrument ends: from its mask along the shaft's axis, or from its box alone.
 
 mod axis;
+mod mask;
 mod moments;
 
 pub use axis::ShaftAxis;
+pub use mask::Mask;
 pub(crate) use moments::Moments;
 
-/// A mask as bits: most significant first, rows padded to whole bytes.
-#[derive(Clone, Copy, Debug)]
-pub struct Mask<'a> {
-    bits: &'a [u8],
-    /// Columns, px.
-    pub width: usize,
-    /// Rows, px.
-    pub height: usize,
-}
-
-impl<'a> Mask<'a> {
-    /// Wraps bits as a mask; missing rows are empty.
-    pub fn new(bits: &'a [u8], width: usize, height: usize) -> Self {
-        let height = bits.len().checked_div(width.div_ceil(8)).map_or(0, |rows| height.min(rows));
-        Self { bits, width, height }
-    }
-
-    /// Whether a pixel belongs to the mask; false outside it.
-    pub fn contains(&self, x: usize, y: usize) -> bool {
-        x < self.width && y < self.height && self.bits[y * self.width.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0
-    }
-
-    fn each(&self, visit: &mut dyn FnMut(f64, f64)) {
-        for (y, row) in self.bits.chunks_exact(self.width.div_ceil(8).max(1)).take(self.height).enumerate() {
-            for (b, &byte) in row.iter().enumerate().filter(|(_, byte)| **byte != 0) {
-                for k in (0..8).filter(|k| byte & (0x80 >> k) != 0) {
-                    visit((b * 8 + k) as f64, y as f64);
-                }
-            }
-        }
-    }
-
-    /// Pixels of the border, once around.
-    fn border(&self) -> impl Iterator<Item = (usize, usize)> + use<'a> {
-        let (w, h) = (self.width, self.height);
-        let (right, bottom) = (w.saturating_sub(1), h.saturating_sub(1));
-        (0..w)
-            .map(|x| (x, 0))
-            .chain((1..h).map(move |y| (right, y)))
-            .chain((0..right).rev().map(move |x| (x, bottom)))
-            .chain((1..bottom).rev().map(|y| (0, y)))
-    }
-
-    /// Whether any pixel of the border belongs to the mask.
-    pub fn touches_border(&self) -> bool {
-        self.border().any(|(x, y)| self.contains(x, y))
-    }
-
-    /// Centre of the widest part of the border that the mask touches: where the shaft enters.
-    fn entry(&self) -> Option<[f64; 2]> {
-        let around = self.width.checked_mul(2)? + self.height * 2;
-        let first_gap = self.border().position(|(x, y)| !self.contains(x, y))?;
-        let (mut best, mut part, mut gap) = ([0.0_f64; 3], [0.0_f64; 3], 0);
-        // Once around from a gap, and once more over what lies before it.
-        for (x, y) in self.border().chain(self.border()).skip(first_gap).take(around) {
-            if self.contains(x, y) {
-                part = [part[0] + 1.0, part[1] + x as f64, part[2] + y as f64];
-                gap = 0;
-                if part[0] > best[0] {
-                    best = part;
-                }
-            } else {
-                gap += 1;
-                if gap > BORDER_GAP_PX {
-                    part = [0.0; 3];
-                }
-            }
-        }
-        (best[0] > 0.0).then(|| [best[1] / best[0], best[2] / best[0]])
-    }
-}
+use mask::{BORDER_GAP_PX, Contact};
 
 /// An end of an instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,8 +38,6 @@ const END_SHARE: f64 = 0.08;
 const LONG: f64 = 6.0;
 /// Ratio of variances above which its own direction is always used, as for a shaft along the border.
 const VERY_LONG: f64 = 20.0;
-/// Maximum gap between parts of the border that count as one, px.
-const BORDER_GAP_PX: usize = 3;
 /// Maximum number of lines across the axis into which a mask is divided.
 const MAX_LINES: f64 = 256.0;
 /// Parts of a mask with less than this share of its pixels are not instruments.
@@ -117,6 +47,8 @@ const ENTRY_SHARE: f64 = 0.15;
 /// Minimum length of the shorter jaw: as a share of the longer one, and in px. Shorter parts are roughness of the outline.
 const JAW_SHARE: f64 = 0.35;
 const JAW_PX: f64 = 5.0;
+/// Minimum cosine between the directions of jaws that enter apart from each other.
+const JAWS_AGREE: f64 = 0.5;
 
 /// A run of mask pixels on one line across the axis, in steps.
 #[derive(Clone, Copy, Debug)]
@@ -172,6 +104,12 @@ struct Lines {
 }
 
 impl Lines {
+    /// Line and step of a point of the image.
+    fn locate(&self, [x, y]: [f64; 2]) -> (f64, f64) {
+        let ([ax, ay], x, y) = (self.axis, x - self.from[0], y - self.from[1]);
+        ((x * ax + y * ay) / self.pitch, (y * ax - x * ay) / self.pitch)
+    }
+
     fn place(&self, line: f64, step: f64) -> [f64; 2] {
         let (along, aside) = (line * self.pitch, step * self.pitch);
         let [ax, ay] = self.axis;
@@ -201,34 +139,38 @@ impl TipFinder {
         let moments = Moments::of(&mask)?;
         let [cx, cy] = moments.centre;
         let main = moments.main;
-        let from_entry = mask.entry().map(|[x, y]| [cx - x, cy - y]).filter(|v| v[0].hypot(v[1]) > 1.0);
-        let mut axis = match from_entry.and_then(unit) {
+        let contacts = mask.contacts();
+        let from_entry =
+            contacts[0].map(|Contact { centre: [x, y], .. }| [cx - x, cy - y]).filter(|v| v[0].hypot(v[1]) > 1.0);
+        let axis = match from_entry.and_then(unit) {
             Some(away) => {
                 let agrees = (away[0] * main[0] + away[1] * main[1]).abs() > 0.7;
                 if moments.is_longer(VERY_LONG) || (moments.is_longer(LONG) && agrees) { main } else { away }
             }
             None => main,
         };
-        let (mut low, mut high) = moments.reach(&mask, axis);
-        let from_border = |t: f64| {
-            let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
-            x.min(y).min(width - 1.0 - x).min(height - 1.0 - y)
-        };
         let enters_low = match towards.or(from_entry) {
             Some(v) => v[0] * axis[0] + v[1] * axis[1] >= 0.0,
-            None => from_border(low) <= from_border(high),
+            None => {
+                let (low, high) = moments.reach(&mask, axis);
+                let from_border = |t: f64| {
+                    let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
+                    x.min(y).min(width - 1.0 - x).min(height - 1.0 - y)
+                };
+                from_border(low) <= from_border(high)
+            }
         };
-        if !enters_low {
-            (axis, low, high) = ([-axis[0], -axis[1]], -high, -low);
+        let axis = if enters_low { axis } else { [-axis[0], -axis[1]] };
+        let mut lines = self.divide(&mask, &moments, axis);
+        let both_jaws =
+            if let [Some(one), Some(two)] = contacts { self.jaws_from_outside(&lines, [one, two]) } else { None };
+        let both_jaws = both_jaws.filter(|axis| towards.is_none_or(|to| to[0] * axis[0] + to[1] * axis[1] >= 0.0));
+        if let Some(axis) = both_jaws {
+            lines = self.divide(&mask, &moments, axis);
         }
-        let (left, right) = moments.reach(&mask, [-axis[1], axis[0]]);
-        let pitch = ((high - low).max(right - left) / MAX_LINES).max(1.0);
-        let count = |length: f64| (length / pitch).ceil() as usize + 1;
-        let from = [cx + low * axis[0] - left * axis[1], cy + low * axis[1] + left * axis[0]];
-        let lines = Lines { from, axis, pitch, lines: count(high - low), steps: count(right - left) };
-        self.cut(&mask, &lines);
-        self.grow();
-        let (longest, fork) = self.fork(&lines)?;
+        let Lines { axis, pitch, from, .. } = lines;
+        let low = (from[0] - cx) * axis[0] + (from[1] - cy) * axis[1];
+        let (longest, fork) = self.fork(&lines, both_jaws.is_some())?;
         let end_line = self.branches[longest as usize].end_line;
         let mut last = LastMask { lines, end_line, fork_line: None };
         self.last = Some(last);
@@ -244,6 +186,63 @@ impl TipFinder {
         // Without a fork: the middle of its last part.
         let end = low + f64::from(end_line) * pitch;
         moments.middle_of_end(&mask, axis, (low, end), pitch)
+    }
+
+    /// Divides the mask into branches along an axis that points away from its entry.
+    fn divide(&mut self, mask: &Mask<'_>, moments: &Moments, axis: [f64; 2]) -> Lines {
+        let [cx, cy] = moments.centre;
+        let (low, high) = moments.reach(mask, axis);
+        let (left, right) = moments.reach(mask, [-axis[1], axis[0]]);
+        let pitch = ((high - low).max(right - left) / MAX_LINES).max(1.0);
+        let count = |length: f64| (length / pitch).ceil() as usize + 1;
+        let from = [cx + low * axis[0] - left * axis[1], cy + low * axis[1] + left * axis[0]];
+        let lines = Lines { from, axis, pitch, lines: count(high - low), steps: count(right - left) };
+        self.cut(mask, &lines);
+        self.grow();
+        lines
+    }
+
+    /// The axis between two parts of the mask that enter side by side: jaws whose joint lies outside the image. `None`
+    /// if the contacts belong to one part, a part is a speck or lies along the border, or they point apart.
+    fn jaws_from_outside(&self, lines: &Lines, contacts: [Contact; 2]) -> Option<[f64; 2]> {
+        let parts = contacts.map(|contact| self.part_at(lines, contact.centre));
+        let [Some(one), Some(two)] = parts else { return None };
+        let all: f64 = self.runs.iter().map(|run| f64::from(run.to - run.from + 1)).sum();
+        if one == two || [one, two].iter().any(|part| self.branches[*part as usize].size < SPECK_SHARE * all) {
+            return None;
+        }
+        let inwards = |part: u32, contact: Contact| {
+            let [x, y] = self.centre(lines, part)?;
+            let away = [x - contact.centre[0], y - contact.centre[1]];
+            unit(away).filter(|_| away[0].hypot(away[1]) >= contact.width_px / 2.0)
+        };
+        let (a, b) = (inwards(one, contacts[0])?, inwards(two, contacts[1])?);
+        let agrees = a[0] * b[0] + a[1] * b[1] >= JAWS_AGREE;
+        unit([a[0] + b[0], a[1] + b[1]]).filter(|_| agrees)
+    }
+
+    /// The part of the mask nearest to a point of the image, within a few lines.
+    fn part_at(&self, lines: &Lines, point: [f64; 2]) -> Option<u32> {
+        let near = (BORDER_GAP_PX + 1) as f64 / lines.pitch + 1.0;
+        let (line, step) = lines.locate(point);
+        let distance = |run: &Run| {
+            let beside = (f64::from(run.from) - step).max(step - f64::from(run.to)).max(0.0);
+            beside.hypot(f64::from(run.line) - line)
+        };
+        let nearest = self.runs.iter().map(|run| (distance(run), run.branch)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        (nearest.0 <= near).then(|| Self::owner(&self.branches, nearest.1))
+    }
+
+    /// The centre of a part.
+    fn centre(&self, lines: &Lines, part: u32) -> Option<[f64; 2]> {
+        let (mut n, mut line, mut step) = (0.0, 0.0, 0.0);
+        for run in self.runs.iter().filter(|run| Self::owner(&self.branches, run.branch) == part) {
+            let length = f64::from(run.to - run.from + 1);
+            n += length;
+            line += length * f64::from(run.line);
+            step += length * f64::from(run.from + run.to) / 2.0;
+        }
+        (n > 0.0).then(|| lines.place(line / n, step / n))
     }
 
     /// Divides the mask into runs.
@@ -318,8 +317,9 @@ impl TipFinder {
         }
     }
 
-    /// The farthest branch that is not a speck, and the jaw next to it with the line where they part.
-    fn fork(&self, lines: &Lines) -> Option<(u32, Option<(u32, u32)>)> {
+    /// The farthest branch that is not a speck, and the jaw next to it with the line where they part. `both_enter`: parts
+    /// that do not begin together are jaws too.
+    fn fork(&self, lines: &Lines, both_enter: bool) -> Option<(u32, Option<(u32, u32)>)> {
         let whole = |number: &u32| self.branches[*number as usize].owner == *number;
         let numbers = || 0..self.branches.len() as u32;
         let all: f64 = numbers().filter(whole).map(|number| self.branches[number as usize].size).sum();
@@ -330,7 +330,7 @@ impl TipFinder {
         let from = |b: &Branch| if b.owner == longest { b.fork_line } else { b.fork_line.max(begin) };
         let length = |b: &Branch| b.end_line.saturating_sub(from(b));
         // A part that another instrument cuts off begins farther inside.
-        let enters = |begin: u32| f64::from(begin) <= ENTRY_SHARE * lines.lines as f64;
+        let enters = |begin: u32| both_enter || f64::from(begin) <= ENTRY_SHARE * lines.lines as f64;
         let is_own =
             |n: &u32, b: &Branch| whole(n) && b.size >= SPECK_SHARE * all && enters(b.fork_line) && enters(begin);
         let is_jaw = |(n, b): &(u32, Branch)| *n != longest && (b.owner == longest || is_own(n, b));
@@ -489,6 +489,12 @@ mod tests {
         });
         let found = found.expect("the mask is not empty");
         assert!((found.tip.u_px - 115.0).hypot(found.tip.v_px - 75.0) < 5.0 && found.jaws.is_some(), "{found:?}");
+        // Seen askew, so that one jaw begins farther inside along the line between them.
+        let (one, two) = ([150.0, 30.0], [120.0, 120.0]);
+        let found =
+            tip(200, 160, |x, y| on_bar([x, y], [230.0, 90.0], one, 10.0) || on_bar([x, y], [230.0, 115.0], two, 10.0));
+        let found = found.expect("the mask is not empty");
+        assert!((found.tip.u_px - 135.0).hypot(found.tip.v_px - 75.0) < 5.0 && found.jaws.is_some(), "{found:?}");
         // Another instrument across it cuts a shaft in two: the part behind is no jaw.
         let found =
             tip(200, 160, |x, y| on_bar([x, y], [220.0, 80.0], [40.0, 80.0], 12.0) && !(90.0..110.0).contains(&x));

@@ -21,11 +21,47 @@ struct Columns {
     /// For each column the first byte of the pixel to its left.
     first: Vec<u32>,
     /// The weight of the pixel to its right.
-    weight: Vec<u32>,
+    weight: Vec<u8>,
+    /// The same for vectors: whole groups of four columns.
+    fours: Vec<Four>,
 }
 
-/// Bytes behind a row: four are read at each pixel and at the one behind it.
-const PADDING: usize = 4;
+/// The bytes of four columns: for each the byte of the left pixel and of the right one. A column begins at most one pixel
+/// behind the one before it, so that all of them lie in [`PADDING`] bytes.
+#[derive(Debug, Clone, Copy, Default)]
+struct Four {
+    /// First byte of the first column's left pixel.
+    start: u32,
+    /// Positions behind `start`: eight bytes of the target in 16, four in the next 8.
+    places: [[u8; 2]; 16],
+    /// Weights of both bytes.
+    weights: [[u8; 2]; 16],
+}
+
+impl Columns {
+    fn set(&mut self, columns: usize, target: usize, source: usize) {
+        let places = || (0..columns).map(|column| between(column, target, source));
+        self.first.clear();
+        self.first.extend(places().map(|(left, _)| 3 * left as u32));
+        self.weight.clear();
+        self.weight.extend(places().map(|(_, weight)| weight as u8));
+        self.fours.clear();
+        let fours = self.first.as_chunks::<4>().0.iter().zip(self.weight.as_chunks::<4>().0);
+        self.fours.extend(fours.map(|(first, weight)| {
+            let mut four = Four { start: first[0], ..Four::default() };
+            for byte in 0..12 {
+                let (column, channel) = (byte / 3, byte % 3);
+                let left = (first[column] - first[0]) as u8 + channel as u8;
+                four.places[byte] = [left, left + 3];
+                four.weights[byte] = [ONE as u8 - weight[column], weight[column]];
+            }
+            four
+        }));
+    }
+}
+
+/// Bytes behind a row: so many are read from each pixel on.
+const PADDING: usize = 16;
 
 /// The source pixel before the centre of pixel `at`, and the weight of the next one, for `source` pixels scaled to
 /// `target`.
@@ -55,33 +91,71 @@ impl Grow {
         (width, height): (usize, usize),
     ) {
         let (right, bottom) = ((x + width).min(out.width).max(x), (y + height).min(out.height));
-        let Columns { first, weight } = &mut self.columns;
-        first.clear();
-        weight.clear();
-        for column in 0..right - x {
-            let (left, share) = between(column, width, picture.width);
-            first.push(3 * left as u32);
-            weight.push(share);
-        }
+        self.columns.set(right - x, width, picture.width);
         self.row.clear();
         self.row.resize(3 * picture.width + PADDING, 0);
         for row in y..bottom {
             let (first, weight) = between(row - y, height, picture.height);
             let (above, below) = (picture.row(first), picture.row((first + 1).min(picture.height - 1)));
-            let [keep, weight] = [ONE - weight, weight].map(|weight| weight as u16);
-            for (value, (a, b)) in self.row.iter_mut().zip(above.iter().zip(below)) {
-                *value = ((u16::from(*a) * keep + u16::from(*b) * weight + 64) >> 7) as u8;
-            }
+            mix_rows(simd, &mut self.row, above, below, weight as u8);
             widen(simd, &self.row, &self.columns, &mut out.row_mut(row)[x * 3..right * 3]);
         }
     }
 }
 
+/// The row between `above` and `below`, which have at most as many bytes as `row`; `weight` is that of `below`.
+fn mix_rows(simd: Simd, row: &mut [u8], above: &[u8], below: &[u8], weight: u8) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: `Simd` allows AVX2 only where the processor has it.
+    let done = if simd.avx2() { unsafe { mix_rows_avx2(row, above, below, weight) } } else { 0 };
+    #[cfg(not(target_arch = "x86_64"))]
+    let done = 0;
+    let _ = simd;
+    let [keep, weight] = [ONE as u16 - u16::from(weight), u16::from(weight)];
+    let bytes = above.iter().zip(below).skip(done);
+    for (value, (a, b)) in row.iter_mut().skip(done).zip(bytes) {
+        *value = ((u16::from(*a) * keep + u16::from(*b) * weight + 64) >> 7) as u8;
+    }
+}
+
+/// The first bytes of [`mix_rows`], 32 at a time; returns how many.
+///
+/// # Safety
+/// The processor has AVX2.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+unsafe fn mix_rows_avx2(row: &mut [u8], above: &[u8], below: &[u8], weight: u8) -> usize {
+    use std::arch::x86_64::*;
+    let weights = _mm256_set1_epi16(i16::from_le_bytes([ONE as u8 - weight, weight]));
+    let rows = row.as_chunks_mut::<32>().0.iter_mut().zip(above.as_chunks::<32>().0).zip(below.as_chunks::<32>().0);
+    let mut done = 0;
+    for ((row, above), below) in rows {
+        // SAFETY: arrays of 32 bytes.
+        unsafe {
+            let (a, b) = (_mm256_loadu_si256(above.as_ptr().cast()), _mm256_loadu_si256(below.as_ptr().cast()));
+            let (low, high) = (_mm256_unpacklo_epi8(a, b), _mm256_unpackhi_epi8(a, b));
+            let bytes = _mm256_packus_epi16(weighted(low, weights), weighted(high, weights));
+            _mm256_storeu_si256(row.as_mut_ptr().cast(), bytes);
+        }
+        done += 32;
+    }
+    done
+}
+
+/// Rounded sums of each two bytes with their weights, which add up to [`ONE`], divided by it.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn weighted(bytes: std::arch::x86_64::__m256i, weights: std::arch::x86_64::__m256i) -> std::arch::x86_64::__m256i {
+    use std::arch::x86_64::*;
+    // A weight of 128 is no signed byte, so that the bytes are the signed ones: less 128 each, which 128 * 128 makes good.
+    let sums = _mm256_maddubs_epi16(weights, _mm256_xor_si256(bytes, _mm256_set1_epi8(-128)));
+    _mm256_srli_epi16::<7>(_mm256_add_epi16(sums, _mm256_set1_epi16(64 + 128 * 128)))
+}
+
 /// The pixels of `target` from those of `row`, which has [`PADDING`] bytes behind its pixels.
 fn widen(simd: Simd, row: &[u8], columns: &Columns, target: &mut [u8]) {
     #[cfg(target_arch = "x86_64")]
-    // SAFETY: `Simd` allows AVX2 only where the processor has it; each column begins at a pixel, and seven bytes from there on lie in the row: the pixel
-    // and the padding.
+    // SAFETY: `Simd` allows AVX2 only where the processor has it; each column begins at a pixel, and `PADDING` bytes from there on lie in the row.
     let done = if simd.avx2() { unsafe { widen_avx2(row, columns, target) } } else { 0 };
     #[cfg(not(target_arch = "x86_64"))]
     let done = 0;
@@ -91,45 +165,33 @@ fn widen(simd: Simd, row: &[u8], columns: &Columns, target: &mut [u8]) {
     let places = columns.first.iter().zip(&columns.weight).skip(done);
     for (pixel, (at, weight)) in target.as_chunks_mut::<3>().0.iter_mut().skip(done).zip(places) {
         // Behind the last pixel are zeros, which have no weight.
-        let [b, g, r, _] = mix(word(*at as usize), word(*at as usize + 3), *weight).to_le_bytes();
+        let [b, g, r, _] = mix(word(*at as usize), word(*at as usize + 3), u32::from(*weight)).to_le_bytes();
         *pixel = [b, g, r];
     }
 }
 
-/// The first pixels of [`widen`], eight at a time; returns how many.
+/// The first pixels of [`widen`], four at a time; returns how many.
 ///
 /// # Safety
-/// The processor has AVX2, and `row` has seven bytes from each column's first one on.
+/// The processor has AVX2, and `row` has [`PADDING`] bytes from each column's first one on.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 unsafe fn widen_avx2(row: &[u8], columns: &Columns, target: &mut [u8]) -> usize {
     use std::arch::x86_64::*;
-    let three_of_four =
-        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
-    let (one, half, even) = (_mm256_set1_epi16(ONE as i16), _mm256_set1_epi16(64), _mm256_set1_epi16(0xff));
     let mut done = 0;
-    for (first, weight) in columns.first.as_chunks::<8>().0.iter().zip(columns.weight.as_chunks::<8>().0) {
-        // Four bytes behind the eight pixels are written too; the next ones replace them.
-        let Some(pixels) = target.get_mut(3 * done..3 * done + 28) else { break };
-        // SAFETY: arrays of eight numbers; the caller promised the bytes that are read, and `pixels` has 28.
+    for four in &columns.fours {
+        // Four bytes behind the four pixels are written too; the next ones replace them.
+        let Some(pixels) = target.get_mut(3 * done..3 * done + 16) else { break };
+        // SAFETY: the caller promised the bytes that are read; the arrays have 32 bytes, and `pixels` has 16.
         unsafe {
-            let at = _mm256_loadu_si256(first.as_ptr().cast());
-            let a = _mm256_i32gather_epi32::<1>(row.as_ptr().cast(), at);
-            let b = _mm256_i32gather_epi32::<1>(row.as_ptr().cast(), _mm256_add_epi32(at, _mm256_set1_epi32(3)));
-            let weight = _mm256_loadu_si256(weight.as_ptr().cast());
-            let weight = _mm256_or_si256(weight, _mm256_slli_epi32::<16>(weight));
-            let keep = _mm256_sub_epi16(one, weight);
-            let mixed = |a: __m256i, b: __m256i| {
-                let sum = _mm256_add_epi16(_mm256_mullo_epi16(a, keep), _mm256_mullo_epi16(b, weight));
-                _mm256_srli_epi16::<7>(_mm256_add_epi16(sum, half))
-            };
-            let low = mixed(_mm256_and_si256(a, even), _mm256_and_si256(b, even));
-            let high = mixed(_mm256_srli_epi16::<8>(a), _mm256_srli_epi16::<8>(b));
-            let bytes = _mm256_shuffle_epi8(_mm256_or_si256(low, _mm256_slli_epi16::<8>(high)), three_of_four);
-            _mm_storeu_si128(pixels.as_mut_ptr().cast(), _mm256_castsi256_si128(bytes));
-            _mm_storeu_si128(pixels.as_mut_ptr().add(12).cast(), _mm256_extracti128_si256::<1>(bytes));
+            let source = _mm_loadu_si128(row.as_ptr().add(four.start as usize).cast());
+            let places = _mm256_loadu_si256(four.places.as_ptr().cast());
+            let pairs = _mm256_shuffle_epi8(_mm256_broadcastsi128_si256(source), places);
+            let values = weighted(pairs, _mm256_loadu_si256(four.weights.as_ptr().cast()));
+            let bytes = _mm_packus_epi16(_mm256_castsi256_si128(values), _mm256_extracti128_si256::<1>(values));
+            _mm_storeu_si128(pixels.as_mut_ptr().cast(), bytes);
         }
-        done += 8;
+        done += 4;
     }
     done
 }
