@@ -1,7 +1,8 @@
-//! Terminal output: colour only on a terminal, and a closed pipe is not an error.
+//! Terminal output: colour only on a terminal. A closed pipe is not an error, a full disk is.
 
 use std::fmt::Arguments;
-use std::io::{IsTerminal, Write};
+use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use panoscope_base::secret::redact;
@@ -22,9 +23,21 @@ macro_rules! log {
 
 pub use {log, out};
 
+/// Why standard output could not be written the first time.
+static LOST: OnceLock<io::Error> = OnceLock::new();
+
+/// Records what could not be written, for [`leave`]. A reader that has gone away has read what it wanted.
+fn written(outcome: io::Result<()>) {
+    if let Err(error) = outcome
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        let _ = LOST.set(error);
+    }
+}
+
 /// Writes a line to standard output, without the secrets of addresses in it.
 pub fn line(text: Arguments<'_>) {
-    let _ = writeln!(std::io::stdout().lock(), "{}", redact(&text.to_string()));
+    written(writeln!(io::stdout().lock(), "{}", redact(&text.to_string())));
 }
 
 /// Whether lines on standard error are JSON objects.
@@ -48,12 +61,12 @@ pub fn error_line(text: Arguments<'_>) {
 
 /// Writes a line of a log to standard error unchanged.
 pub fn finished_error_line(text: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    let _ = writeln!(io::stderr().lock(), "{text}");
 }
 
 /// Writes text unchanged to standard output.
 pub fn raw(text: &str) {
-    let _ = std::io::stdout().lock().write_all(text.as_bytes());
+    written(io::stdout().lock().write_all(text.as_bytes()));
 }
 
 fn color_wanted() -> bool {
@@ -62,17 +75,21 @@ fn color_wanted() -> bool {
 
 /// Whether standard output takes colour.
 pub fn stdout_color() -> bool {
-    std::io::stdout().is_terminal() && color_wanted()
+    io::stdout().is_terminal() && color_wanted()
 }
 
 /// Whether standard error takes colour.
 pub fn stderr_color() -> bool {
-    std::io::stderr().is_terminal() && color_wanted() && !JSON_LINES.load(Ordering::Relaxed)
+    io::stderr().is_terminal() && color_wanted() && !JSON_LINES.load(Ordering::Relaxed)
 }
 
-/// Leaves the process at once: destructors of C++ libraries loaded by plugins may crash.
+/// Leaves the process at once: destructors of C++ libraries loaded by plugins may crash. Success becomes 1 if standard output could not be written.
 pub fn leave(code: i32) -> ! {
-    let _ = std::io::stdout().flush();
-    let _ = std::io::stderr().flush();
-    panoscope_engine::ending::leave(code)
+    written(io::stdout().flush());
+    let lost = LOST.get();
+    if let Some(error) = lost {
+        log!("error: standard output cannot be written: {error}");
+    }
+    let _ = io::stderr().flush();
+    panoscope_engine::ending::leave(if lost.is_some() && code == 0 { 1 } else { code })
 }

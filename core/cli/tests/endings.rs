@@ -18,6 +18,23 @@ fn plugin_path() -> &'static OsStr {
     PATH.get_or_init(|| common::built_plugins(&["flow", "fixtures"]))
 }
 
+/// What the command prints belongs to a file as often as to a terminal.
+#[test]
+fn output_that_cannot_be_written_is_an_error_and_a_closed_pipe_is_none() {
+    let shown = |stdout: Stdio| {
+        let mut list = Command::new(PROGRAM);
+        let output = list.arg("list").env("PANOSCOPE_PLUGIN_PATH", plugin_path()).stdout(stdout).output();
+        let output = output.expect("it starts");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let full = || Stdio::from(std::fs::File::options().write(true).open("/dev/full").expect("Linux has it"));
+    let (code, said) = shown(full());
+    assert!(code == Some(1) && said.contains("standard output cannot be written: No space left"), "{code:?}: {said}");
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    assert_eq!(shown(writer.into()), (Some(0), String::new()));
+}
+
 /// A folder of this test process.
 fn folder(name: &str) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("panoscope_endings_{}", std::process::id())).join(name);

@@ -106,12 +106,18 @@ pub fn check_path(
         let message = format!("cannot write {}: {} is a file, not a folder", path.display(), file.display());
         check.error("path", message, "choose another folder, or move that file away");
     }
-    let text = path.to_string_lossy();
-    if let Some(printf) = printf_number(&text) {
+    let (_, rest) = split_existing(path);
+    if let Some(printf) = printf_number(&rest.to_string_lossy()) {
         let message = format!("`{printf}` is not a placeholder: each file replaces the previous one");
         check.warning("path", message, "write {seq} for the tick number, or {seq:4} for four digits");
     }
     Some(ending)
+}
+
+/// The folder of `path` that exists, and the rest. The names of existing folders are as they are: what looks like a placeholder there is none.
+fn split_existing(path: &Path) -> (&Path, &Path) {
+    let folder = path.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new(""));
+    (folder, path.strip_prefix(folder).unwrap_or(path))
 }
 
 /// A placeholder in the style of other programs, such as `%04d`.
@@ -129,8 +135,9 @@ fn printf_number(text: &str) -> Option<&str> {
 /// # Errors
 /// Another node or run writes these files, or the system refuses the folder.
 pub fn claim_files(open: &Open<'_>, pattern: &Path) -> NodeResult<PathBuf> {
+    let (folder, rest) = split_existing(pattern);
     let is_pattern = |path: &&Path| path.to_string_lossy().contains('{');
-    make_folder(pattern.ancestors().take_while(is_pattern).last().unwrap_or(pattern))?;
+    make_folder(&folder.join(rest.ancestors().take_while(is_pattern).last().unwrap_or(rest)))?;
     open.claim_files(pattern)
 }
 
@@ -346,6 +353,8 @@ pub fn write_whole(
 #[derive(Clone, Debug)]
 pub struct Pattern {
     path: PathBuf,
+    /// The part that existed at the start, without placeholders.
+    folder: PathBuf,
     text: String,
     every: u64,
     seen: u64,
@@ -354,7 +363,9 @@ pub struct Pattern {
 impl Pattern {
     /// Parses `path` as the graph names it.
     pub fn new(path: &Path) -> Self {
-        Self { path: path.to_owned(), text: path.to_string_lossy().into_owned(), every: 1, seen: 0 }
+        let (folder, rest) = split_existing(path);
+        let (folder, text) = (folder.to_owned(), rest.to_string_lossy().into_owned());
+        Self { path: path.to_owned(), folder, text, every: 1, seen: 0 }
     }
 
     /// The path with its placeholders.
@@ -390,7 +401,7 @@ impl Pattern {
             let dot = out.rfind('.').unwrap_or(out.len());
             out.insert_str(dot, &format!("_{port}"));
         }
-        PathBuf::from(out)
+        self.folder.join(out)
     }
 
     /// Counts a call; returns true for every `every`-th.
@@ -423,6 +434,21 @@ mod tests {
         assert_eq!(at("out/x.npy", true), "out/x_depth.npy");
         assert_eq!(at("out/{other}.npy", false), "out/{other}.npy");
         assert_eq!(at("out/{seq.png", false), "out/{seq.png");
+    }
+
+    #[test]
+    fn folders_that_exist_have_no_placeholders() {
+        use std::os::unix::ffi::OsStrExt;
+
+        let folder = std::env::temp_dir().join(format!("panoscope_pattern_{}", std::process::id()));
+        // Not UTF-8.
+        let named = folder.join(std::ffi::OsStr::from_bytes(b"{seq} %d \xe9"));
+        fs::create_dir_all(&named).unwrap();
+        let file = Pattern::new(&named.join("new {port}/{seq:3}.png")).file(7, "depth", false);
+        assert_eq!(file, named.join("new depth/007.png"));
+        let (_, rest) = split_existing(&file);
+        assert_eq!((rest, printf_number(&rest.to_string_lossy())), (Path::new("new depth/007.png"), None));
+        fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

@@ -55,6 +55,8 @@ pub struct OrderWatch {
     /// The newest check found exchanged views, which one more must confirm.
     is_suspect: bool,
     is_exchanged: bool,
+    /// Both views were one image when the newest check took them.
+    are_one_image: bool,
     delay: ViewDelay,
     /// Capture time of the views that are checked, ns.
     taken_ns: i64,
@@ -86,7 +88,7 @@ impl OrderWatch {
         self.ticks += 1;
         match self.step {
             Step::Wait if self.checked_ns.is_none() || self.is_suspect && !self.is_exchanged => {
-                self.order.take(views, pool);
+                self.take(cx, views);
                 self.order.find(0, pool);
                 self.order.find(1, pool);
                 self.compare(cx, now_ns);
@@ -95,7 +97,7 @@ impl OrderWatch {
                 let waited_ns = self.checked_ns.map_or(i64::MAX, |checked| now_ns.saturating_sub(checked));
                 // The clock of a source that starts again goes back.
                 if !(0..PERIOD_NS).contains(&waited_ns) || self.ticks >= PERIOD_TICKS {
-                    self.order.take(views, pool);
+                    self.take(cx, views);
                     self.order.find(0, pool);
                     self.taken_ns = now_ns;
                     self.step = Step::FindRight;
@@ -123,6 +125,16 @@ impl OrderWatch {
             (_, true) => PairState::Late,
             _ => PairState::Fits,
         }
+    }
+
+    /// Takes the views for a check. Warns if they are one image, which no two cameras make.
+    fn take(&mut self, cx: &Context<'_>, views: [View<'_, u8>; 2]) {
+        self.order.take(views, cx.pool());
+        let are_one = are_one_image(views);
+        if are_one && !self.are_one_image {
+            cx.warn("`left` and `right` are the same image, pixel by pixel: nothing has a depth. Check whether one camera or file is given twice");
+        }
+        self.are_one_image = are_one;
     }
 
     fn follow(&mut self, cx: &Context<'_>) {
@@ -180,4 +192,12 @@ impl OrderWatch {
             cx.metric("views_swapped", f64::from(u8::from(self.is_exchanged)));
         }
     }
+}
+
+/// Whether two views have the same pixels, not all of one value: black views say nothing.
+fn are_one_image([left, right]: [View<'_, u8>; 2]) -> bool {
+    let rows = || (0..left.height).map(|y| left.row(y));
+    (left.width, left.height, left.channels) == (right.width, right.height, right.channels)
+        && rows().enumerate().all(|(y, row)| row == right.row(y))
+        && rows().flatten().any(|value| *value != left.row(0)[0])
 }

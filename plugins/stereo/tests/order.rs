@@ -165,6 +165,9 @@ fn the_same_and_unlike_views_are_not_called_swapped() -> TestResult {
         }
         let swapped = node.metric("views_swapped");
         assert!(swapped != Some(1.0), "{:?}", node.logs());
+        let is_named =
+            node.logs().iter().any(|line| line.level == Level::Warn && line.message.contains("are the same image"));
+        assert_eq!(is_named, views[0] == views[1] && *views[0] != flat, "{:?}", node.logs());
         // Nor in order: who knew them to be swapped before a start still does.
         assert!(swapped.is_none() || !views.contains(&&flat), "{:?}", node.logs());
     }

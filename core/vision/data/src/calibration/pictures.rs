@@ -15,11 +15,12 @@ pub fn is_image(path: &Path) -> bool {
 
 /// Position of `%d` or `%04d` in a text: start, end, digits.
 fn counter(text: &str) -> Option<(usize, usize, usize)> {
-    let start = text.find('%')?;
-    let rest = &text[start + 1..];
-    let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
-    (rest.as_bytes().get(digits) == Some(&b'd'))
-        .then(|| (start, start + digits + 2, rest[..digits].parse().unwrap_or(0)))
+    text.match_indices('%').find_map(|(start, _)| {
+        let rest = &text[start + 1..];
+        let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
+        (rest.as_bytes().get(digits) == Some(&b'd'))
+            .then(|| (start, start + digits + 2, rest[..digits].parse().unwrap_or(0)))
+    })
 }
 
 fn matches_glob(pattern: &[u8], name: &[u8]) -> bool {
@@ -55,9 +56,10 @@ pub fn natural_order(name: &str) -> Vec<(String, u64)> {
     key
 }
 
-/// Whether a text is a pattern: it holds `*`, `?` or a counter such as `%04d`.
-pub fn is_pattern(text: &str) -> bool {
-    text.contains(['*', '?']) || counter(text).is_some()
+/// Whether a path is a pattern: its last part holds `*`, `?` or a counter such as `%04d`.
+pub fn is_pattern(path: &str) -> bool {
+    let name = path.rsplit('/').next().unwrap_or(path);
+    name.contains(['*', '?']) || counter(name).is_some()
 }
 
 /// Why no file matches a pattern.
@@ -151,6 +153,8 @@ mod tests {
         assert!(!matches_counter("img_%04d.png", "img_7.png") && !matches_counter("img_%04d.png", "img_00007.png"));
         assert!(matches_counter("%d.png", "7.png") && !matches_counter("%d.png", "x.png"));
         assert!(counter("100%.png").is_none());
+        assert!(matches_counter("50% of %02d.png", "50% of 07.png"));
+        assert!(is_pattern("50% %d/img_%04d.png") && is_pattern("*.png") && !is_pattern("%d?/still.png"));
     }
 
     #[test]
