@@ -144,10 +144,19 @@ fn is_of_the_lab(program: &clap::Command, words: &[OsString]) -> bool {
     command.is_some_and(|command| command.get_arguments().any(|argument| argument.get_id() == beside::WORDS))
 }
 
+/// `help run` becomes `run --help`, which also knows the commands of other programs and the options of graphs.
+fn help_last(mut words: Vec<OsString>) -> Vec<OsString> {
+    if words.get(1).is_some_and(|word| word == "help") {
+        words.remove(1);
+        words.push("--help".into());
+    }
+    words
+}
+
 /// Parses the command line of this process. Options that the graph declares are included, also in its help. Exits if
 /// the command line is wrong or requests help.
 pub fn parse<T: FromArgMatches>(mut command: clap::Command) -> T {
-    let words = Installation::current().with_its_graphs(std::env::args_os().collect());
+    let words = Installation::current().with_its_graphs(help_last(std::env::args_os().collect()));
     let CommandLine { words, help, problem } = match is_of_the_lab(&command, &words) {
         true => CommandLine { words, ..CommandLine::default() },
         false => {

@@ -18,6 +18,17 @@ fn plugin_path() -> &'static OsStr {
     PATH.get_or_init(|| common::built_plugins(&["flow", "fixtures"]))
 }
 
+#[test]
+fn help_of_a_command_is_found_in_both_orders() {
+    let help = |words: &[&str]| {
+        let output = Command::new(PROGRAM).args(words).output().expect("it starts");
+        assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).expect("text")
+    };
+    assert_eq!(help(&["help", "record"]), help(&["record", "--help"]));
+    assert!(help(&["help"]).contains("Usage: panoscope <COMMAND>"));
+}
+
 /// What the command prints belongs to a file as often as to a terminal.
 #[test]
 fn output_that_cannot_be_written_is_an_error_and_a_closed_pipe_is_none() {

@@ -200,3 +200,16 @@ fn a_process_of_the_theatre_cannot_be_started_by_hand() {
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(text.contains("`theatre-worker` is started by the theatre only"), "{text}");
 }
+
+#[test]
+fn without_a_screen_the_program_says_what_to_do() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_panoscope-theatre"))
+        .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/../../graphs/panorama.toml"))
+        .env_remove("DISPLAY")
+        .env_remove("WAYLAND_DISPLAY")
+        .env_remove("WAYLAND_SOCKET")
+        .output()
+        .expect("it starts");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && text.contains("this session has no screen"), "{text}");
+}

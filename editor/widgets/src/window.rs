@@ -123,8 +123,20 @@ pub fn viewport(graph: &Path, app_id: &str, (width, height): (f32, f32)) -> View
         .with_min_inner_size(vec2(480.0, 320.0))
 }
 
+/// Whether the environment names a screen.
+fn has_screen() -> bool {
+    let is_set = |name: &&str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+    ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"].iter().any(is_set)
+}
+
 /// Shows a window until it is closed; returns the program's exit code.
 pub fn open(viewport: ViewportBuilder, make: impl FnOnce(&eframe::CreationContext<'_>) -> AppResult) -> i32 {
+    if !has_screen() {
+        eprintln!(
+            "error: the window could not be opened: this session has no screen, neither DISPLAY nor WAYLAND_DISPLAY is set; start it on a desktop or by `ssh -X`, or run the graph without a window: `panoscope run GRAPH`"
+        );
+        return 1;
+    }
     match show(viewport, make) {
         Ok(()) => 0,
         Err(error) => {
