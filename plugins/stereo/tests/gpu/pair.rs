@@ -108,7 +108,7 @@ impl Case {
             let there = ViewsThere { images: held.each_ref().map(|held| held.image), fetch: &|| views };
             let right = self.has_right.then_some(maps[1].image);
             on_gpu
-                .compute(of_gpu, &metrics, there, self.roi, (&blocks, &self.params), &Serial, maps[0].image, right)
+                .compute(of_gpu, &metrics, there, self.roi, (&blocks, &self.params, 1), &Serial, maps[0].image, right)
                 .expect("matched on the device");
             for side in 0..if self.has_right { 2 } else { 1 } {
                 let bytes = maps[side].rows(gpu, 4 * width);
