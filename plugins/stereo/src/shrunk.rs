@@ -11,7 +11,7 @@ use panoscope_imaging::{Parallel, Rect, Report, SharedMut, View, ViewMut};
 use panoscope_node::Context;
 use panoscope_node::device::{Device, OnDevice};
 
-use crate::gpu::pair::{GpuPairMatcher, ViewsThere};
+use crate::gpu::pair::GpuPairMatcher;
 use crate::matcher::{In, Out, PairKernel};
 use crate::shrinking::Shrinking;
 
@@ -161,9 +161,8 @@ impl PairKernel for Shrunk {
             let images = [input.left.on_device()?, input.right.on_device()?];
             let left = out.disparity.alloc_on_device(width, height)?;
             let right = out.disparity_right.is_read().then(|| out.disparity_right.alloc_on_device(width, height));
-            let views = ViewsThere { images, fetch: &|| [input.left.view(), input.right.view()] };
             let params = (self.kernel.params(), params, self.factor);
-            Ok(gpu.compute(pair, cx, views, roi, params, cx.pool(), left, right.transpose()?)?)
+            Ok(gpu.compute(pair, cx, images, roi, params, cx.pool(), left, right.transpose()?)?)
         })
     }
 }

@@ -1,8 +1,8 @@
 //! Views and maps of a pair that stay on the GPU while they are matched.
 //!
 //! The processor decides, as for frames in its own memory, from small parts that it reads: shrunk views at each survey,
-//! columns at the borders of the maps. It reads both views as a whole when it measures their rows, at each eighth call,
-//! and the left map when speckles are removed.
+//! columns at the borders of the maps, patches around matched points where it measures their rows. It reads the left map
+//! when speckles are removed.
 
 use std::ops::Range;
 
@@ -35,6 +35,7 @@ fn failed(error: NodeError) -> StereoError {
 struct Sampler {
     gpu: Gpu,
     kernel: Kernel,
+    patches: Kernel,
     sizes: Store,
     result: Store,
     found: Vec<u32>,
@@ -43,7 +44,8 @@ struct Sampler {
 impl Sampler {
     fn new(gpu: Gpu) -> Result<Self> {
         let kernel = gpu.kernel("pair sample", &[include_str!("pair_sample.wgsl")])?;
-        Ok(Self { gpu, kernel, sizes: Store::default(), result: Store::default(), found: Vec::new() })
+        let patches = gpu.kernel("pair patches", &[include_str!("pair_patches.wgsl")])?;
+        Ok(Self { gpu, kernel, patches, sizes: Store::default(), result: Store::default(), found: Vec::new() })
     }
 
     /// Each `step`-th pixel of `area`, or, for pixels of one byte, the mean of each whole block: one word each, row after
@@ -68,6 +70,34 @@ impl Sampler {
         Ok(&self.found)
     }
 
+    /// See [`PairViews::patches`].
+    fn patches(
+        &mut self,
+        image: &DeviceImage,
+        corners: &[[usize; 2]],
+        (width, height): (usize, usize),
+        out: &mut Vec<u8>,
+    ) -> Result<()> {
+        let bytes = width * height;
+        // Patches begin at whole words.
+        let words = bytes.div_ceil(4);
+        let firsts = corners.iter().map(|[x, y]| (y * image.stride_bytes + x) as u32);
+        let head = [image.stride_bytes, width, bytes, corners.len()].map(|n| n as u32);
+        let call_words: Vec<u32> = head.into_iter().chain(firsts).collect();
+        let call = self.sizes.reserve(self.gpu, 4 * call_words.len())?;
+        let result = self.result.reserve(self.gpu, 4 * words * corners.len())?;
+        let mut steps = Steps::default();
+        steps.write_plain(call, 0, &call_words);
+        steps.run(&self.patches, &[call, image.buffer, result], [words, corners.len()]);
+        self.gpu.submit(&steps)?;
+        out.resize(4 * words * corners.len(), 0);
+        self.gpu.read(result, out)?;
+        (1..corners.len())
+            .for_each(|patch| out.copy_within(4 * words * patch..4 * words * patch + bytes, bytes * patch));
+        out.truncate(bytes * corners.len());
+        Ok(())
+    }
+
     /// As [`Self::read`], of gray values.
     fn bytes(&mut self, image: &DeviceImage, area: Rect, step: usize, out: &mut Vec<u8>) -> Result<(), StereoError> {
         let found = self.read(image, 1, area, step).map_err(failed)?;
@@ -85,42 +115,40 @@ impl Sampler {
     }
 }
 
-/// A gray pair on the GPU.
-pub struct ViewsThere<'a> {
-    /// The left and the right view, of one size.
-    pub images: [DeviceImage; 2],
-    /// Copies both into the host's memory.
-    pub fetch: &'a dyn Fn() -> [View<'a, u8>; 2],
-}
-
-/// [`ViewsThere`] with what reads them.
-struct DeviceViews<'a, 'v> {
-    given: ViewsThere<'v>,
+/// A gray pair on the GPU, and what reads it.
+struct DeviceViews<'a> {
+    images: [DeviceImage; 2],
     sampler: &'a mut Sampler,
     strips: &'a mut [Vec<u8>; 2],
 }
 
-impl PairViews for DeviceViews<'_, '_> {
+impl PairViews for DeviceViews<'_> {
     fn size(&self) -> (usize, usize) {
-        (self.given.images[0].width, self.given.images[0].height)
+        (self.images[0].width, self.images[0].height)
     }
 
     fn shrink(&mut self, side: usize, factor: usize, plane: &mut Vec<u8>) -> Result<(), StereoError> {
         let (width, height) = self.size();
-        self.sampler.bytes(&self.given.images[side], Rect::whole(width, height), factor, plane)
+        self.sampler.bytes(&self.images[side], Rect::whole(width, height), factor, plane)
     }
 
     fn border(&mut self, columns: usize) -> Result<[View<'_, u8>; 2], StereoError> {
         let (width, height) = self.size();
         for (side, strip) in self.strips.iter_mut().enumerate() {
             let area = Rect::new(if side == 0 { width - columns } else { 0 }, 0, columns, height);
-            self.sampler.bytes(&self.given.images[side], area, 1, strip)?;
+            self.sampler.bytes(&self.images[side], area, 1, strip)?;
         }
         Ok(self.strips.each_ref().map(|strip| View::new(&strip[..], columns, height, 1)))
     }
 
-    fn whole(&mut self) -> Result<[View<'_, u8>; 2], StereoError> {
-        Ok((self.given.fetch)())
+    fn patches(
+        &mut self,
+        side: usize,
+        corners: &[[usize; 2]],
+        size: (usize, usize),
+        out: &mut Vec<u8>,
+    ) -> Result<(), StereoError> {
+        self.sampler.patches(&self.images[side], corners, size, out).map_err(failed)
     }
 }
 
@@ -348,14 +376,13 @@ impl GpuPairMatcher {
         &mut self,
         pair: &mut PairMatcher,
         report: &dyn Report,
-        views: ViewsThere<'_>,
+        images: [DeviceImage; 2],
         roi: Rect,
         (params, pair_params, factor): (&BlockMatchingParams, &PairParams, usize),
         pool: &dyn Parallel,
         left: DeviceImage,
         right: Option<DeviceImage>,
     ) -> Result<(), StereoError> {
-        let images = views.images;
         let size = (images[0].width, images[0].height);
         let right_is_read = right.is_some();
         let work = &mut self.work;
@@ -367,7 +394,7 @@ impl GpuPairMatcher {
             .map(|shrinking| Ok((shrinking, work.shrunk(shrinking.size)?)))
             .transpose()
             .map_err(failed)?;
-        let mut views = DeviceViews { given: views, sampler: &mut self.views, strips: &mut self.strips };
+        let mut views = DeviceViews { images, sampler: &mut self.views, strips: &mut self.strips };
         let whole = Pair { views: images, maps: [left, right] };
         let mut maps = DeviceMaps { matcher: &mut self.blocks, work, params, whole, shrunk, right_is_read };
         pair.compute_in(report, &mut views, &mut maps, roi, pair_params, pool)
