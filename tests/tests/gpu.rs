@@ -47,25 +47,25 @@ type = "drain"
 inputs = { image = "wide.panorama" }
 "#;
 
-/// Depth at full size, which the processor reads alone.
+/// Depth, which the processor reads alone.
 const DEPTH: &str = r#"
 mode = "batch"
 plugins = ["phantom", "stereo"]
 [nodes.scope]
 type = "phantom"
-params = { width = 322, height = 241, zoom = 0.45, distortion_k1 = 0.1 }
+params = { width = WIDTH, height = HEIGHT, zoom = 0.45, distortion_k1 = 0.1 }
 [nodes.views]
 type = "rectify"
 inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
-params = { device = "DEVICE" }
+params = { scale = PICTURE_SCALE, device = "DEVICE" }
 [nodes.match]
 type = "stereo_bm"
 inputs = { left = "views.left", right = "views.right", mask_left = { from = "views.mask_left", optional = true }, mask_right = { from = "views.mask_right", optional = true } }
-params = { device = "DEVICE" }
+params = { scale = SCALE, device = "DEVICE" }
 [nodes.smooth]
 type = "disparity_wls"
 inputs = { image = "views.left", disparity = "match.disparity", disparity_right = "match.disparity_right", mask = { from = "views.mask_left", optional = true } }
-params = { device = "DEVICE" }
+params = { scale = SCALE, device = "DEVICE" }
 [nodes.points]
 type = "reproject"
 inputs = { image = "views.left", disparity = "smooth.disparity", calibration = "views.calibration" }
@@ -78,6 +78,14 @@ params = { points = [120, 100, 200, 140] }
 
 fn graph(device: &str) -> String {
     GRAPH.replace("DEVICE", device)
+}
+
+/// The graph of depth with rectified views of one size, shrunk by `picture_scale` first and by `scale` to be matched.
+fn depth(device: &str, (picture_scale, scale): (usize, usize)) -> String {
+    let [width, height] = [322, 241].map(|size| (size * picture_scale).to_string());
+    let numbers = [("WIDTH", width), ("HEIGHT", height), ("PICTURE_SCALE", picture_scale.to_string())];
+    let text = numbers.iter().fold(DEPTH.replace("DEVICE", device), |text, (name, value)| text.replace(name, value));
+    text.replace("SCALE", &scale.to_string())
 }
 
 /// Views of known geometry, joined by a homography and by a mesh.
@@ -237,25 +245,27 @@ fn panoramas_of_views_on_the_gpu_are_made_there() {
 }
 
 #[test]
-fn depth_at_full_size_stays_on_the_gpu() {
+fn depth_stays_on_the_gpu() {
     if !has_device() {
         return;
     }
     let folder = scratch("gpu-depth");
-    let [cpu, gpu] = ["cpu", "gpu"].map(|device| plain(&folder, &DEPTH.replace("DEVICE", device)));
-    assert!(cpu.nodes.values().all(|node| node.copies == 0));
-    // Both views reach the GPU and the depth leaves it; the matcher reads gray views when it measures their rows.
-    let rows = 2 * FRAMES.div_ceil(8);
+    // Both views reach the GPU and the depth leaves it.
     let check = |report: &Report, points: u64| {
         // The mask of what the left camera covers is made once.
-        let expected = [("views", 2 * FRAMES), ("match", rows), ("smooth", 1), ("points", points), ("length", FRAMES)];
+        let expected = [("views", 2 * FRAMES), ("match", 0), ("smooth", 1), ("points", points), ("length", FRAMES)];
         for (node, copies) in expected {
             assert_eq!(report.nodes[node].copies, copies, "{node}");
         }
     };
-    check(&gpu, 0);
+    for scales in [(1, 1), (1, 2), (2, 3)] {
+        let [cpu, gpu] = ["cpu", "gpu"].map(|device| plain(&folder, &depth(device, scales)));
+        assert!(cpu.nodes.values().all(|node| node.copies == 0));
+        check(&gpu, 0);
+        assert!(gpu.nodes["match"].metrics["matched_pct"] > 10.0, "{scales:?}: {:?}", gpu.nodes["match"].metrics);
+    }
     // A cloud whose holes are filled makes the processor read the depth, another one does not.
-    let cloud = DEPTH.replace("DEVICE", "gpu").replace("depth = \"points.depth\"", "cloud = \"points.cloud\"");
+    let cloud = depth("gpu", (1, 2)).replace("depth = \"points.depth\"", "cloud = \"points.cloud\"");
     check(&plain(&folder, &cloud), FRAMES);
     let open = cloud.replace("\"gpu\" }\n[nodes.length]", "\"gpu\", max_hole = 0.0 }\n[nodes.length]");
     assert_ne!(open, cloud);
@@ -321,8 +331,12 @@ fn a_device_can_be_changed_while_the_graph_runs() {
         return;
     }
     let folder = scratch("gpu-live");
-    for (text, nodes) in [(GRAPH, &["views", "match", "wide"][..]), (DEPTH, &["views", "match", "smooth", "points"])] {
-        let text = text.replace("DEVICE", "cpu");
+    let of_depth = ["views", "match", "smooth", "points"];
+    for (text, nodes) in [
+        (graph("cpu"), &["views", "match", "wide"][..]),
+        (depth("cpu", (1, 1)), &of_depth),
+        (depth("cpu", (1, 2)), &of_depth),
+    ] {
         let cpu = disturbed(&folder, &text);
         let mut turn = 0;
         let options = Options { frames: Some(FRAMES), ..Options::default() };

@@ -1206,7 +1206,7 @@ class NodeTypes:
         dark_level: Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all. (-1 to 255; default 4)
         beyond_mask_px: Fills the map so far beyond the mask, where the picture is not black, at a width of 640 px. `rectify` ends its masks 5 px inside of the rim, and the surface goes on there. (0 to 16 px; default 0)
         scale: Factor by which maps and picture are shrunk before they are filtered, for maps that were matched so: as good at a fraction of the time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560. (0 to 8; default 1)
-        device: What filters, with the same map to 0.01 px. A GPU pays when large maps are not shrunk: they stay there. Of shrunk ones it solves the systems. Without one the processor does it, with a warning. (default "cpu")"""
+        device: What filters, with the same map to 0.01 px. A GPU pays for large maps that are matched there. Without one the processor does it, with a warning. (default "cpu")"""
 
     def disparity_wls_opencv(
         self,
@@ -2561,7 +2561,7 @@ class NodeTypes:
         uniqueness: Drops a pixel when another disparity costs at most this much more than the best one; 0 keeps all. (0 to 100 %; default 15)
         left_right_px: Largest difference between the disparities of both views; -1 does not check. (-1 to 64 px; default 1)
         scale: Factor by which views are shrunk before they are matched: a coarser map, much faster. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560. (0 to 8; default 1)
-        device: What matches the views, with the same disparities. A GPU pays when large views are not shrunk. Without one the processor matches, with a warning. (default "cpu")"""
+        device: What matches the views, with the same disparities. A GPU pays for large views. Without one the processor matches, with a warning. (default "cpu")"""
 
     def stereo_net(
         self,

@@ -61,16 +61,22 @@ fn matching(gpu: Gpu, size: (usize, usize), pool: &dyn Parallel) {
     let mut matcher = BlockMatcher::new(params.clone()).expect("a matcher");
     let mut on_gpu = GpuBlockMatcher::new(gpu).expect("a matcher");
     let whole = Rect::whole(width, height);
-    let mut maps = [(); 4].map(|()| vec![0.0; width * height]);
-    let [a, b, c, d] = maps.each_mut();
+    let mut maps = [(); 2].map(|()| vec![0.0; width * height]);
+    let [a, b] = maps.each_mut();
+    let mut made = vec![0; 4 * width * height];
+    let mut stores: [Store; 4] = Default::default();
+    let [c, d, e, f] = &mut stores;
+    let given = [image(gpu, c, size, 1), image(gpu, d, size, 1)];
+    let target = [image(gpu, e, size, 4), image(gpu, f, size, 4)];
     let times = beside(
         || {
             let [a, b] = [&mut *a, &mut *b].map(|map| ViewMut::new(map, width, height, 1));
             matcher.compute(left, right, whole, pool, a, Some(b)).expect("a match");
         },
         || {
-            let [mut c, mut d] = [&mut *c, &mut *d].map(|map| ViewMut::new(map, width, height, 1));
-            on_gpu.compute(&params, left, right, whole, &mut c, Some(&mut d), pool).expect("a match");
+            upload(gpu, &given, &pictures);
+            on_gpu.compute(&params, given, whole, (target[0], Some(target[1]))).expect("a match");
+            target.iter().for_each(|image| gpu.read(image.buffer, &mut made).expect("read"));
         },
     );
     print("block matching, 128 disparities", size, times);

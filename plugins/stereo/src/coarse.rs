@@ -5,19 +5,15 @@
 
 use panoscope_imaging::features::{GrayBuffer, shrink_gray};
 use panoscope_imaging::stereo::FilterInput;
-use panoscope_imaging::{Parallel, Rect, SharedMut, View, ViewMut};
+use panoscope_imaging::{Parallel, SharedMut, View, ViewMut};
+
+use crate::shrinking::Shrinking;
 
 /// Rows of a map per chunk.
 const ROWS: usize = 32;
 
 /// Neighbours with a larger difference are two surfaces, in px of the shrunk map: nothing lies between them.
-const MAX_STEP_PX: f32 = 1.0;
-
-/// The factor that a parameter `scale` stands for, for views of a width in px. 0 becomes a factor whose shrunk views have a pixel count
-/// that grows with the width instead of with its square: 2 from 640 px on, 3 from 1440, 4 from 2560.
-pub fn factor(scale: usize, width: usize) -> usize {
-    if scale > 0 { scale } else { (width / 160).isqrt().max(1) }
-}
+pub const MAX_STEP_PX: f32 = 1.0;
 
 /// Inputs and outputs of a filter, shrunk.
 #[derive(Default)]
@@ -53,10 +49,10 @@ impl Coarse {
         filter: impl FnOnce(Job<'_, '_>) -> Result<(), E>,
     ) -> Result<(), E> {
         let given = job.given;
-        let (width, height) = (given.disparity.width / factor, given.disparity.height / factor);
-        if factor <= 1 || width == 0 || height == 0 {
+        let Some(shrinking) = Shrinking::new(factor, (given.disparity.width, given.disparity.height)) else {
             return filter(job);
-        }
+        };
+        let (width, height) = shrinking.size;
         shrink_gray(given.guide, factor, &mut self.guide, pool);
         let in_px = 1.0 / factor as f32;
         sample(given.disparity, factor, in_px, &mut self.disparity);
@@ -70,16 +66,12 @@ impl Coarse {
         });
         self.smooth.resize(width * height, f32::NAN);
         self.support.resize(width * height, 0.0);
-        let end = |start: usize, size: usize| (start + size).div_ceil(factor);
-        let (x, y) = (given.roi.x / factor, given.roi.y / factor);
-        let roi =
-            Rect { x, y, width: end(given.roi.x, given.roi.width) - x, height: end(given.roi.y, given.roi.height) - y };
         let small = FilterInput {
             guide: self.guide.view(),
             disparity: View::new(&self.disparity[..], width, height, 1),
             disparity_right,
             confidence,
-            roi: roi.clamped(width, height),
+            roi: shrinking.roi(given.roi),
         };
         filter(Job {
             given: small,
@@ -171,14 +163,7 @@ fn enlarge(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_imaging::Serial;
-
-    #[test]
-    fn the_factor_follows_the_width() {
-        let found = [160, 320, 640, 720, 1280, 1440, 1920, 2560, 3840].map(|width| factor(0, width));
-        assert_eq!(found, [1, 1, 2, 2, 2, 3, 3, 4, 4]);
-        assert_eq!((factor(1, 1920), factor(5, 64)), (1, 5));
-    }
+    use panoscope_imaging::{Rect, Serial};
 
     #[test]
     fn slopes_stay_straight_and_steps_stay_steps() {

@@ -2,20 +2,21 @@
 
 use std::ops::Range;
 
+use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{
-    BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams, WlsSolver,
+    BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams,
 };
-use panoscope_imaging::{Rect, Report};
-use panoscope_node::device::{Device, OnDevice, given_up};
+use panoscope_node::device::{Device, OnDevice};
 use panoscope_node::{
     AnyImage, Confidence, Context, Disparity, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot,
     Validation, View, ViewMut, error,
 };
 
-use crate::coarse::{Coarse, Job, factor};
+use crate::coarse::{Coarse, Job};
 use crate::colours::Colours;
 use crate::gpu::wls_filter::{GpuWlsFilter, WlsImages};
 use crate::matcher::check_kernel;
+use crate::shrinking::factor;
 
 /// Inputs of both filters.
 #[derive(Ports)]
@@ -234,8 +235,7 @@ pub struct DisparityWlsParams {
     /// time. 0 finds it from the width: 1 below 640 px, 2 from 640, 3 from 1440, 4 from 2560.
     #[param(default = 1, range = 0..=8)]
     scale: usize,
-    /// What filters, with the same map to 0.01 px. A GPU pays when large maps are not shrunk: they stay there. Of shrunk ones it solves the systems.
-    /// Without one the processor does it, with a warning.
+    /// What filters, with the same map to 0.01 px. A GPU pays for large maps that are matched there. Without one the processor does it, with a warning.
     #[param(default = "cpu")]
     device: Device,
 }
@@ -267,7 +267,7 @@ impl DisparityWlsParams {
 /// Weighted-least-squares filter.
 pub struct DisparityWls {
     kernel: WlsFilter,
-    /// Filters maps that are not shrunk on the GPU.
+    /// Filters maps that stay on the GPU.
     gpu: OnDevice<GpuWlsFilter>,
     coarse: Coarse,
     /// Columns of the mask in each row.
@@ -277,21 +277,14 @@ pub struct DisparityWls {
 }
 
 impl DisparityWls {
-    /// Chooses what solves the systems.
-    fn choose(&mut self, device: Device, report: &dyn Report) {
-        if self.gpu.choose(device, report, GpuWlsFilter::new) {
-            let solver = self.gpu.get().map(GpuWlsFilter::solver);
-            self.kernel.set_solver(solver.map(|solver| Box::new(solver) as Box<dyn WlsSolver>));
-        }
-    }
-
-    /// Filters a map that is not shrunk on the GPU, where it stays. Whether it did; a GPU that fails is given up.
+    /// Filters a map on the GPU, shrunk by `factor`, where it stays. Whether it did; a GPU that fails is given up.
     fn filter_there(
         &mut self,
         cx: &Context<'_>,
         (input, guide): (&In<'_>, &Colours<'_>),
         out: &mut Out<'_>,
         trust: &TrustParams,
+        factor: usize,
     ) -> Result<bool> {
         if self.gpu.get().is_none() {
             return Ok(false);
@@ -306,7 +299,7 @@ impl DisparityWls {
                 [strip.start, strip.end, lit.start, lit.end].map(|x| x as u32)
             }));
         }
-        let is_made = self.gpu.attempt(cx, |gpu| {
+        self.gpu.attempt(cx, |gpu| {
             let mask = input.mask.as_ref().map(Image::on_device).transpose()?;
             let images = WlsImages {
                 guide: guide.on_device()?,
@@ -321,12 +314,8 @@ impl DisparityWls {
                     false => gpu.spare(width, height)?,
                 },
             };
-            gpu.compute(&images, self.kernel.params())
-        })?;
-        if !is_made {
-            self.kernel.set_solver(None);
-        }
-        Ok(is_made)
+            gpu.compute(&images, self.kernel.params(), factor)
+        })
     }
 }
 
@@ -352,7 +341,7 @@ impl Node for DisparityWls {
             lit: Vec::new(),
             rows: Vec::new(),
         };
-        node.choose(params.device, open);
+        node.gpu.choose(params.device, open, GpuWlsFilter::new);
         Ok(node)
     }
 
@@ -368,8 +357,8 @@ impl Node for DisparityWls {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted)?;
         }
-        self.choose(params.device, cx);
-        if factor == 1 && self.filter_there(cx, (&input, &guide(&input)?), &mut out, &params.trust)? {
+        self.gpu.choose(params.device, cx, GpuWlsFilter::new);
+        if self.filter_there(cx, (&input, &guide(&input)?), &mut out, &params.trust, factor)? {
             return Ok(());
         }
         let (kernel, coarse) = (&mut self.kernel, &mut self.coarse);
@@ -377,11 +366,7 @@ impl Node for DisparityWls {
             coarse.run(factor, job, cx.pool(), |job| {
                 Ok(kernel.compute(job.given, cx.pool(), job.disparity, job.confidence)?)
             })
-        })?;
-        if let Some(reason) = self.kernel.take_solver_fault() {
-            cx.warn(&given_up(&reason));
-        }
-        Ok(())
+        })
     }
 }
 

@@ -4,54 +4,54 @@
 //! counts their pixels; each value stands for a block of pixels.
 
 use panoscope_imaging::features::{GrayBuffer, shrink_gray};
-use panoscope_imaging::stereo::{PairMatcher, PairParams, StereoError, StereoKernel, Tile};
-use panoscope_imaging::{Parallel, Rect, SharedMut, View, ViewMut};
+use panoscope_imaging::stereo::{
+    BlockMatcher, BlockMatchingParams, PairMatcher, PairParams, StereoError, StereoKernel, Tile,
+};
+use panoscope_imaging::{Parallel, Rect, Report, SharedMut, View, ViewMut};
 use panoscope_node::Context;
+use panoscope_node::device::{Device, OnDevice};
 
+use crate::gpu::pair::GpuPairMatcher;
 use crate::matcher::{In, Out, PairKernel};
-use crate::on_device::DeviceMatcher;
+use crate::shrinking::Shrinking;
 
 /// Rows of a map per chunk.
 const ROWS: usize = 32;
 
-/// A block matcher on views shrunk by a whole factor.
+/// A block matcher on views shrunk by a whole factor: on the processor, or on the GPU where the views are there.
 pub struct Shrunk {
     /// Its parameters are in shrunk pixels; its range is set by each call.
-    pub kernel: DeviceMatcher,
+    pub kernel: BlockMatcher,
     /// Pixels of a view per shrunk pixel, each way.
     pub factor: usize,
+    gpu: OnDevice<GpuPairMatcher>,
     views: [GrayBuffer; 2],
     maps: [Vec<f32>; 2],
     tiles: Vec<Tile>,
 }
 
 impl Shrunk {
-    /// A matcher on views of full size.
-    pub fn new(kernel: DeviceMatcher) -> Self {
-        Self { kernel, factor: 1, views: Default::default(), maps: Default::default(), tiles: Vec::new() }
+    /// A matcher on views of full size, on the processor.
+    ///
+    /// # Errors
+    /// A parameter is out of range.
+    pub fn new(params: BlockMatchingParams) -> Result<Self, StereoError> {
+        let (gpu, views, maps, tiles) = Default::default();
+        Ok(Self { kernel: BlockMatcher::new(params)?, factor: 1, gpu, views, maps, tiles })
+    }
+
+    /// Chooses the device.
+    pub fn choose(&mut self, device: Device, report: &dyn Report) {
+        self.gpu.choose(device, report, GpuPairMatcher::new);
     }
 
     /// Shrinks both views, and makes room for their maps.
-    fn shrink(&mut self, views: [View<'_, u8>; 2], pool: &dyn Parallel) {
-        let size = (views[0].width / self.factor) * (views[0].height / self.factor);
+    fn shrink(&mut self, shrinking: Shrinking, views: [View<'_, u8>; 2], pool: &dyn Parallel) {
         for (view, small) in views.into_iter().zip(&mut self.views) {
-            shrink_gray(view, self.factor, small, pool);
+            shrink_gray(view, shrinking.factor, small, pool);
         }
-        self.maps.iter_mut().for_each(|map| map.resize(size, f32::NAN));
+        self.maps.iter_mut().for_each(|map| map.resize(shrinking.size.0 * shrinking.size.1, f32::NAN));
     }
-}
-
-/// Disparities that the kernel searches at once.
-const SEARCH_STEP_PX: usize = 32;
-
-/// A range of full-size disparities in those of views shrunk by `factor`.
-fn shrunk_range(first_px: i32, search_px: usize, factor: usize) -> (i32, usize) {
-    let scale = factor as i32;
-    // Rounded down: a range that exceeds the end by less than a shrunk pixel costs a whole block of disparities.
-    let first = first_px.div_euclid(scale);
-    let end = (first_px + search_px as i32).div_euclid(scale) + 1;
-    let search = (end - first).max(2) as usize - 1;
-    (first, search.next_multiple_of(SEARCH_STEP_PX))
 }
 
 /// Repeats every value of `line`, times `N`, `N` times.
@@ -98,37 +98,25 @@ fn enlarge(small: &[f32], (width, height): (usize, usize), factor: usize, pool: 
 impl StereoKernel for Shrunk {
     fn match_roi(
         &mut self,
-        (first_px, search_px): (i32, usize),
+        range: (i32, usize),
         views: [View<'_, u8>; 2],
         roi: Rect,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
         disparity_right: Option<ViewMut<'_, f32>>,
     ) -> Result<(), StereoError> {
-        let factor = self.factor.max(1);
-        let (width, height) = (views[0].width / factor, views[0].height / factor);
-        if factor == 1 || width == 0 || height == 0 {
-            return self.kernel.match_roi((first_px, search_px), views, roi, pool, disparity, disparity_right);
-        }
-        self.shrink(views, pool);
-        let (left, right) = (self.views[0].view(), self.views[1].view());
-        let (x, y) = (roi.x / factor, roi.y / factor);
-        let end = |start: usize, size: usize, limit: usize| ((start + size).div_ceil(factor)).min(limit);
-        let roi = Rect {
-            x,
-            y,
-            width: end(roi.x, roi.width, width).saturating_sub(x),
-            height: end(roi.y, roi.height, height).saturating_sub(y),
+        let Some(shrinking) = Shrinking::new(self.factor, (views[0].width, views[0].height)) else {
+            return self.kernel.match_roi(range, views, roi, pool, disparity, disparity_right);
         };
+        self.shrink(shrinking, views, pool);
+        let (Shrinking { factor, size }, views) = (shrinking, self.views.each_ref().map(GrayBuffer::view));
         let [map, map_right] = &mut self.maps;
-        let wanted = disparity_right.is_some();
-        let target = wanted.then(|| ViewMut::new(map_right, width, height, 1));
-        let range = shrunk_range(first_px, search_px, factor);
-        let to = ViewMut::new(map, width, height, 1);
-        self.kernel.match_roi(range, [left, right], roi, pool, to, target)?;
-        enlarge(map, (width, height), factor, pool, disparity);
+        let to = ViewMut::new(map, size.0, size.1, 1);
+        let to_right = disparity_right.is_some().then(|| ViewMut::new(map_right, size.0, size.1, 1));
+        self.kernel.match_roi(shrinking.range(range), views, shrinking.roi(roi), pool, to, to_right)?;
+        enlarge(map, size, factor, pool, disparity);
         if let Some(target) = disparity_right {
-            enlarge(map_right, (width, height), factor, pool, target);
+            enlarge(map_right, size, factor, pool, target);
         }
         Ok(())
     }
@@ -142,28 +130,18 @@ impl StereoKernel for Shrunk {
         disparity: ViewMut<'_, f32>,
         disparity_right: ViewMut<'_, f32>,
     ) -> Result<(), StereoError> {
-        let factor = self.factor.max(1);
-        let (width, height) = (views[0].width / factor, views[0].height / factor);
-        if factor == 1 || width == 0 || height == 0 {
+        let Some(shrinking) = Shrinking::new(self.factor, (views[0].width, views[0].height)) else {
             return self.kernel.match_tiles(tiles, views, left_right_px, pool, disparity, disparity_right);
-        }
-        self.shrink(views, pool);
-        let (left, right) = (self.views[0].view(), self.views[1].view());
+        };
+        self.shrink(shrinking, views, pool);
+        let (Shrinking { factor, size }, views) = (shrinking, self.views.each_ref().map(GrayBuffer::view));
         self.tiles.clear();
-        self.tiles.extend(tiles.iter().map(|tile| {
-            // Both ends are rounded alike, so that neighbours still touch.
-            let cut = |start: usize, size: usize| (start / factor, (start + size) / factor - start / factor);
-            let ((x, width), (y, height)) = (cut(tile.area.x, tile.area.width), cut(tile.area.y, tile.area.height));
-            let (first_px, search_px) = shrunk_range(tile.first_px, tile.search_px, factor);
-            Tile { area: Rect { x, y, width, height }, first_px, search_px }
-        }));
+        self.tiles.extend(shrinking.tiles(tiles));
         let [map, map_right] = &mut self.maps;
-        let maps = [&mut *map, &mut *map_right].map(|map| ViewMut::new(map, width, height, 1));
-        let [to, to_right] = maps;
-        let left_right_px = left_right_px.map(|px| px / factor as f32);
-        self.kernel.match_tiles(&self.tiles, [left, right], left_right_px, pool, to, to_right)?;
-        enlarge(map, (width, height), factor, pool, disparity);
-        enlarge(map_right, (width, height), factor, pool, disparity_right);
+        let [to, to_right] = [&mut *map, &mut *map_right].map(|map| ViewMut::new(map, size.0, size.1, 1));
+        self.kernel.match_tiles(&self.tiles, views, shrinking.px(left_right_px), pool, to, to_right)?;
+        enlarge(map, size, factor, pool, disparity);
+        enlarge(map_right, size, factor, pool, disparity_right);
         Ok(())
     }
 }
@@ -178,8 +156,14 @@ impl PairKernel for Shrunk {
         roi: Rect,
         params: &PairParams,
     ) -> panoscope_node::Result<bool> {
-        // Views are shrunk in the host's memory.
-        if self.factor > 1 { Ok(false) } else { self.kernel.match_there(pair, cx, input, out, roi, params) }
+        let (width, height) = (input.left.width(), input.left.height());
+        self.gpu.attempt(cx, |gpu| {
+            let images = [input.left.on_device()?, input.right.on_device()?];
+            let left = out.disparity.alloc_on_device(width, height)?;
+            let right = out.disparity_right.is_read().then(|| out.disparity_right.alloc_on_device(width, height));
+            let params = (self.kernel.params(), params, self.factor);
+            Ok(gpu.compute(pair, cx, images, roi, params, cx.pool(), left, right.transpose()?)?)
+        })
     }
 }
 
@@ -187,7 +171,6 @@ impl PairKernel for Shrunk {
 mod tests {
     use super::*;
     use panoscope_imaging::Serial;
-    use panoscope_imaging::stereo::BlockMatchingParams;
 
     #[test]
     fn a_shrunk_match_counts_full_pixels() {
@@ -200,7 +183,7 @@ mod tests {
         let left: Vec<u8> = (0..W * H).map(|i| texture(i % W, i / W)).collect();
         let right: Vec<u8> = (0..W * H).map(|i| texture(i % W + 40, i / W)).collect();
         let params = BlockMatchingParams { block_px: 9, ..BlockMatchingParams::default() };
-        let mut shrunk = Shrunk::new(DeviceMatcher::new(params).expect("good parameters"));
+        let mut shrunk = Shrunk::new(params).expect("good parameters");
         shrunk.factor = 2;
         let mut map = vec![0.0; W * H];
         let views = [View::new(&left[..], W, H, 1), View::new(&right[..], W, H, 1)];

@@ -4,9 +4,8 @@ use panoscope_imaging::stereo::BlockMatchingParams;
 use panoscope_node::device::Device;
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
-use crate::coarse::factor;
 use crate::matcher::{In, Matcher, Out, SearchWindow, check_kernel, process, rim_px};
-use crate::on_device::DeviceMatcher;
+use crate::shrinking::factor;
 use crate::shrunk::Shrunk;
 
 /// Parameters.
@@ -33,7 +32,7 @@ pub struct StereoBmParams {
     /// 640, 3 from 1440, 4 from 2560.
     #[param(default = 1, range = 0..=8)]
     scale: usize,
-    /// What matches the views, with the same disparities. A GPU pays when large views are not shrunk. Without one the processor matches, with a warning.
+    /// What matches the views, with the same disparities. A GPU pays for large views. Without one the processor matches, with a warning.
     #[param(default = "cpu")]
     device: Device,
 }
@@ -78,9 +77,9 @@ impl Node for StereoBm {
     }
 
     fn open(open: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
-        let mut kernel = DeviceMatcher::new(params.kernel(1))?;
+        let mut kernel = Shrunk::new(params.kernel(1))?;
         kernel.choose(params.device, open);
-        Ok(Self { kernel: Shrunk::new(kernel), matcher: Matcher::new()? })
+        Ok(Self { kernel, matcher: Matcher::new()? })
     }
 
     fn process<'f>(
@@ -90,14 +89,12 @@ impl Node for StereoBm {
         mut out: Out<'f>,
         params: &StereoBmParams,
     ) -> Result<()> {
-        self.kernel.factor = factor(params.scale, input.left.width());
-        self.kernel.kernel.set_params(params.kernel(self.kernel.factor))?;
-        self.kernel.kernel.choose(params.device, cx);
-        let factor = self.kernel.factor;
+        let factor = factor(params.scale, input.left.width());
+        self.kernel.factor = factor;
+        self.kernel.kernel.set_params(params.kernel(factor))?;
+        self.kernel.choose(params.device, cx);
         let rim_px = rim_px(params.kernel(factor).block_px) * factor;
         let search = (&params.search, params.left_right_px, rim_px);
-        process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)?;
-        self.kernel.kernel.report_fault(cx);
-        Ok(())
+        process(&mut self.matcher, &mut self.kernel, cx, &input, &mut out, search)
     }
 }

@@ -4,5 +4,6 @@ pub mod block_matching;
 pub mod pair;
 pub mod rectify;
 pub mod reproject;
+pub mod scale;
 pub mod wls;
 pub mod wls_filter;

@@ -10,7 +10,10 @@ use panoscope_imaging::stereo::kept_regions::{EDGE_PX, MovedPixel, MovedRegions}
 use panoscope_node::Result;
 use panoscope_node::device::{DeviceImage, Gpu, Kernel, Steps, Store, bytes_of_words};
 
+use super::scale::{Scaler, Scaling, image_in};
 use super::wls::GpuWlsSolver;
+use crate::coarse::MAX_STEP_PX;
+use crate::shrinking::Shrinking;
 
 /// Sides of the filtered rectangle are multiples of this, as on the processor.
 const GRAIN_PX: usize = 32;
@@ -43,6 +46,7 @@ pub struct WlsImages<'a> {
 pub struct GpuWlsFilter {
     gpu: Gpu,
     solver: GpuWlsSolver,
+    scaler: Scaler,
     known: Kernel,
     trust: Kernel,
     finish: Kernel,
@@ -55,6 +59,8 @@ pub struct GpuWlsFilter {
     kept: Store,
     rows: Store,
     spare: Store,
+    /// Inputs and outputs that are shrunk.
+    small: [Store; 6],
     regions: MovedRegions,
     pixels: Vec<[u32; 2]>,
     words: Vec<u32>,
@@ -72,6 +78,7 @@ impl GpuWlsFilter {
         Ok(Self {
             gpu,
             solver: GpuWlsSolver::new(gpu)?,
+            scaler: Scaler::new(gpu)?,
             known: kernel("wls known", &[include_str!("wls_known.wgsl")])?,
             trust: kernel("wls trust", &[guide, include_str!("wls_trust.wgsl")])?,
             finish: kernel("wls finish", &[include_str!("wls_finish.wgsl")])?,
@@ -84,15 +91,11 @@ impl GpuWlsFilter {
             kept,
             rows,
             spare,
+            small: Default::default(),
             regions: MovedRegions::default(),
             pixels: Vec::new(),
             words: Vec::new(),
         })
-    }
-
-    /// A solver for maps that are filtered in the host's memory.
-    pub fn solver(&self) -> GpuWlsSolver {
-        self.solver.another()
     }
 
     /// Room for the confidence of a map of this size when nobody reads it.
@@ -100,21 +103,65 @@ impl GpuWlsFilter {
     /// # Errors
     /// It does not fit into the device.
     pub fn spare(&mut self, width: usize, height: usize) -> Result<DeviceImage> {
-        let stride_bytes = DeviceImage::stride_bytes(width, 4);
-        Ok(DeviceImage { buffer: self.spare.reserve(self.gpu, stride_bytes * height)?, width, height, stride_bytes })
+        image_in(self.gpu, &mut self.spare, (width, height), 4)
     }
 
-    /// Filters a map. Does not wait for the results.
+    /// Filters a map, by these parameters on images shrunk by `factor`. Does not wait for the results.
     ///
     /// # Errors
     /// Errors of the GPU.
-    pub fn compute(&mut self, images: &WlsImages<'_>, params: &WlsParams) -> Result<()> {
-        let gpu = self.gpu;
+    pub fn compute(&mut self, images: &WlsImages<'_>, params: &WlsParams, factor: usize) -> Result<()> {
         self.write_call(images, params, Rect::default())?;
         let roi = self.known(images.disparity)?;
-        let call = self.write_call(images, params, roi)?;
+        match Shrinking::new(factor, (images.disparity.width, images.disparity.height)) {
+            Some(shrinking) => self.filter_shrunk(images, params, roi, shrinking)?,
+            None => self.filter(images, params, roi)?,
+        }
+        self.clear_beyond(images, params)
+    }
+
+    /// Filters the middle of each block of the map, and enlarges what that makes.
+    fn filter_shrunk(
+        &mut self,
+        images: &WlsImages<'_>,
+        params: &WlsParams,
+        roi: Rect,
+        shrinking: Shrinking,
+    ) -> Result<()> {
+        let (gpu, Shrinking { factor, size }) = (self.gpu, shrinking);
+        let [guide, disparity, right, given, smooth, confidence] = &mut self.small;
+        let guide = image_in(gpu, guide, size, 1)?;
+        let (whole_guide, pixel_bytes) = images.guide;
+        let mut jobs = vec![(Scaling::Shrink { pixel_bytes }, whole_guide, guide)];
+        let mut sampled = |whole: DeviceImage, store: &mut Store, times: f32| -> Result<DeviceImage> {
+            let small = image_in(gpu, store, size, 4)?;
+            jobs.push((Scaling::Sample { times }, whole, small));
+            Ok(small)
+        };
+        let in_px = 1.0 / factor as f32;
+        let small = WlsImages {
+            guide: (guide, 1),
+            disparity: sampled(images.disparity, disparity, in_px)?,
+            right: images.right.map(|map| sampled(map, right, in_px)).transpose()?,
+            given: images.given.map(|map| sampled(map, given, 1.0)).transpose()?,
+            mask: None,
+            beyond_px: 0,
+            smooth: image_in(gpu, smooth, size, 4)?,
+            confidence: image_in(gpu, confidence, size, 4)?,
+        };
+        self.scaler.run(factor, &jobs)?;
+        self.filter(&small, params, shrinking.roi(roi))?;
+        let of_map = Scaling::Enlarge { times: factor as f32, max_step: MAX_STEP_PX };
+        let of_confidence = Scaling::Enlarge { times: 1.0, max_step: f32::MAX };
+        let jobs = [(of_map, small.smooth, images.smooth), (of_confidence, small.confidence, images.confidence)];
+        self.scaler.run(factor, &jobs)
+    }
+
+    /// Filters `roi` of a map.
+    fn filter(&mut self, images: &WlsImages<'_>, params: &WlsParams, roi: Rect) -> Result<()> {
+        let (gpu, call) = (self.gpu, self.write_call(images, params, roi)?);
         let DeviceImage { width, height, buffer: disparity, .. } = images.disparity;
-        let ((guide, channels), smooth, confidence) = (images.guide, images.smooth.buffer, images.confidence.buffer);
+        let ((guide, _), smooth, confidence) = (images.guide, images.smooth.buffer, images.confidence.buffer);
         let buffer = |first: Option<DeviceImage>, second: Option<DeviceImage>| {
             first.or(second).map_or(disparity, |image| image.buffer)
         };
@@ -125,7 +172,7 @@ impl GpuWlsFilter {
             let others = buffer(images.given, images.right);
             steps.run(&self.trust, &[call, disparity, others, guide.buffer, product, support], size);
             gpu.submit(&steps)?;
-            self.solver.solve_there((guide.buffer, guide.stride_bytes, channels), roi, params, [product, support])?;
+            self.solver.solve(images.guide, roi, params, [product, support])?;
         }
         let mut steps = Steps::default();
         steps.run(&self.finish, &[call, product, support, smooth, confidence], [width, height]);
@@ -140,16 +187,20 @@ impl GpuWlsFilter {
         if can_restore {
             self.restore(images, params, roi, (call, list))?;
         }
-        if let Some((mask, rows)) = images.mask {
-            let mut steps = Steps::default();
-            let store = self.rows.reserve(gpu, 16 * rows.len())?;
-            let words = bytes_of_words(rows.as_flattened());
-            steps.write(store, 0, &words);
-            let buffers = [call, mask.buffer, guide.buffer, store, smooth, confidence];
-            steps.run(&self.mask, &buffers, [width, height]);
-            gpu.submit(&steps)?;
-        }
         Ok(())
+    }
+
+    /// Clears what lies beyond the mask and the strip around it.
+    fn clear_beyond(&mut self, images: &WlsImages<'_>, params: &WlsParams) -> Result<()> {
+        let Some((mask, rows)) = images.mask else { return Ok(()) };
+        let (gpu, call) = (self.gpu, self.write_call(images, params, Rect::default())?);
+        let mut steps = Steps::default();
+        let store = self.rows.reserve(gpu, 16 * rows.len())?;
+        let words = bytes_of_words(rows.as_flattened());
+        steps.write(store, 0, &words);
+        let buffers = [call, mask.buffer, images.guide.0.buffer, store, images.smooth.buffer, images.confidence.buffer];
+        steps.run(&self.mask, &buffers, [mask.width, mask.height]);
+        gpu.submit(&steps)
     }
 
     /// Writes what the shaders read about a call that filters `roi`.

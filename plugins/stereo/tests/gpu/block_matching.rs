@@ -1,14 +1,15 @@
 //! Disparities matched on the device are those of the processor: the same pixels are unmatched, the others agree to
 //! 0.001 px.
 
-use super::support::device;
+use super::support::{Held, device};
 use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Tile};
 use panoscope_imaging::{Rect, Serial, View, ViewMut};
+use panoscope_node::Result;
+use panoscope_node::device::{DeviceImage, Gpu};
 use panoscope_stereo::gpu::block_matching::GpuBlockMatcher;
 
-/// Padding of the rows of views and maps.
+/// Padding of the rows of views.
 const PADDING: usize = 13;
-const UNTOUCHED: f32 = -77.0;
 
 /// A pseudo-random number of 32 bits.
 fn hash(x: usize, y: usize, seed: u32) -> u32 {
@@ -45,56 +46,77 @@ fn pair(width: usize, height: usize, shift: i32, seed: u32) -> [Vec<u8>; 2] {
     views
 }
 
-/// Both maps of a matcher, with padding that stays `UNTOUCHED`; the right one is unused without `has_right`.
-fn maps(
-    (width, height): (usize, usize),
-    has_right: bool,
-    compute: impl FnOnce(&mut ViewMut<'_, f32>, Option<&mut ViewMut<'_, f32>>),
-) -> [Vec<f32>; 2] {
-    let stride = width + PADDING;
-    let mut maps = [0, 1].map(|_| vec![UNTOUCHED; stride * height]);
-    let [mut left, mut right] = maps.each_mut().map(|map| ViewMut::with_stride(map, width, height, 1, stride));
-    compute(&mut left, has_right.then_some(&mut right));
+/// A matcher and its device.
+struct Matcher {
+    gpu: Gpu,
+    blocks: GpuBlockMatcher,
+}
+
+impl Matcher {
+    /// `None` without a device.
+    fn new() -> Option<Self> {
+        let gpu = device()?;
+        Some(Self { gpu, blocks: GpuBlockMatcher::new(gpu).expect("a matcher") })
+    }
+
+    /// Maps of views with padded rows that `compute` matches there into maps of NaN.
+    fn maps(
+        &mut self,
+        views: [View<'_, u8>; 2],
+        compute: impl FnOnce(&mut GpuBlockMatcher, [DeviceImage; 2], [DeviceImage; 2]) -> Result<()>,
+    ) -> Result<[Vec<f32>; 2]> {
+        let (gpu, View { width, height, .. }) = (self.gpu, views[0]);
+        let unknown: Vec<u8> = f32::NAN.to_le_bytes().repeat(width.next_multiple_of(4) * height);
+        let views = views.map(|view| Held::of(gpu, view.data, width, height, view.stride));
+        let maps = [(); 2].map(|()| Held::of(gpu, &unknown, width, height, DeviceImage::stride_bytes(width, 4)));
+        compute(&mut self.blocks, views.each_ref().map(|view| view.image), maps.each_ref().map(|map| map.image))?;
+        Ok(maps.map(|map| {
+            let rows = if width > 0 { map.rows(gpu, 4 * width) } else { Vec::new() };
+            rows.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+        }))
+    }
+}
+
+/// Both maps of the processor, NaN where `compute` leaves them.
+fn maps((width, height): (usize, usize), compute: impl FnOnce([ViewMut<'_, f32>; 2])) -> [Vec<f32>; 2] {
+    let mut maps = [0, 1].map(|_| vec![f32::NAN; width * height]);
+    compute(maps.each_mut().map(|map| ViewMut::new(map, width, height, 1)));
     maps
 }
 
-/// Compares maps with `width + PADDING` values per row; returns how many are known, and how many are not equal to the
-/// last bit.
+/// Compares maps of `width` columns; returns how many values are known, and how many are not equal to the last bit.
 fn compare(found: &[f32], expected: &[f32], width: usize, what: &str) -> (usize, usize) {
+    assert_eq!(found.len(), expected.len(), "{what}");
     let (mut known, mut rounded) = (0, 0);
     for (at, (a, b)) in found.iter().zip(expected).enumerate() {
-        let (x, y) = (at % (width + PADDING), at / (width + PADDING));
+        let (x, y) = (at % width, at / width);
         let is_same = a.is_nan() == b.is_nan() && (a.is_nan() || (a - b).abs() < 1e-3);
         assert!(is_same, "{what}: {a} and not {b} at column {x}, row {y}");
-        if x < width && a.is_finite() {
-            known += 1;
-            rounded += usize::from(a.to_bits() != b.to_bits());
-        }
+        known += usize::from(a.is_finite());
+        rounded += usize::from(a.is_finite() && a.to_bits() != b.to_bits());
     }
     (known, rounded)
-}
-
-/// The same map for a function that takes it.
-fn lent<'a>(map: &'a mut ViewMut<'_, f32>) -> ViewMut<'a, f32> {
-    ViewMut::with_stride(map.data, map.width, map.height, 1, map.stride)
 }
 
 /// Matches a pair on the device and the processor and compares; returns the share of pixels of the left view that are
 /// known.
 fn check(
-    matcher: &mut GpuBlockMatcher,
+    matcher: &mut Matcher,
     params: &BlockMatchingParams,
-    [left, right]: [View<'_, u8>; 2],
+    views: [View<'_, u8>; 2],
     roi: Rect,
     has_right: bool,
 ) -> f64 {
-    let (width, height) = (left.width, left.height);
-    let found = maps((width, height), has_right, |map, map_right| {
-        matcher.compute(params, left, right, roi, map, map_right, &Serial).expect("matched on the device");
-    });
+    let (width, height) = (views[0].width, views[0].height);
+    let found = matcher
+        .maps(views, |blocks, views, [map, map_right]| {
+            blocks.compute(params, views, roi, (map, has_right.then_some(map_right)))
+        })
+        .expect("matched on the device");
     let mut processor = BlockMatcher::new(params.clone()).expect("a matcher");
-    let expected = maps((width, height), has_right, |map, map_right| {
-        processor.compute(left, right, roi, &Serial, lent(map), map_right.map(lent)).expect("matched on the processor");
+    let expected = maps((width, height), |[map, map_right]| {
+        let map_right = has_right.then_some(map_right);
+        processor.compute(views[0], views[1], roi, &Serial, map, map_right).expect("matched on the processor");
     });
     let what = format!("{width}x{height}, {roi:?}, {params:?}");
     let (known, rounded) = compare(&found[0], &expected[0], width, &format!("left map of {what}"));
@@ -107,7 +129,7 @@ fn check(
 
 /// As [`check`], for a pair of this size.
 fn check_size(
-    matcher: &mut GpuBlockMatcher,
+    matcher: &mut Matcher,
     params: &BlockMatchingParams,
     (width, height): (usize, usize),
     roi: Rect,
@@ -126,8 +148,7 @@ fn params(min: i32, search: usize, block: usize) -> BlockMatchingParams {
 
 #[test]
 fn sizes_and_ranges_give_the_maps_of_the_processor() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     // The matcher keeps its memory: pictures get larger and smaller.
     for (seed, (size, min, search, block)) in [
         ((150, 70), 0, 32, 15),
@@ -155,8 +176,7 @@ fn sizes_and_ranges_give_the_maps_of_the_processor() {
 
 #[test]
 fn tests_reject_the_same_pixels() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     let size = (163, 75);
     let mut seed = 50;
     for cap in [0, 31, 7] {
@@ -185,8 +205,7 @@ fn tests_reject_the_same_pixels() {
 
 #[test]
 fn lanes_outside_the_right_view_are_no_rivals() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     // Every other disparity is a rival: only pixels at the border, with few disparities, are left.
     let params = BlockMatchingParams { uniqueness_percent: 10_000, left_right_px: None, ..params(0, 32, 31) };
     let known = check_size(&mut matcher, &params, (120, 60), Rect::whole(120, 60), false, 190);
@@ -195,8 +214,7 @@ fn lanes_outside_the_right_view_are_no_rivals() {
 
 #[test]
 fn a_region_is_matched_alone() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     let (width, height) = (203, 91);
     for (k, (roi, min, search)) in [
         (Rect::new(60, 30, 90, 40), 0, 64),
@@ -222,8 +240,7 @@ fn a_region_is_matched_alone() {
 
 #[test]
 fn views_without_texture_are_ties_that_go_the_same_way() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     let (width, height) = (140, 50);
     let params = BlockMatchingParams { texture_threshold: 0, uniqueness_percent: 0, ..params(-10, 64, 9) };
     for (left_right_px, stripe) in [(None, 0), (Some(1), 0), (None, 6), (Some(1), 6)] {
@@ -238,8 +255,7 @@ fn views_without_texture_are_ties_that_go_the_same_way() {
 
 #[test]
 fn small_views_and_flat_ones_are_taken() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     for size in [(1, 1), (2, 3), (5, 1), (40, 2), (0, 5), (7, 0)] {
         for min in [-4, 0, 1] {
             let params = BlockMatchingParams { texture_threshold: 0, ..params(min, 32, 5) };
@@ -250,11 +266,10 @@ fn small_views_and_flat_ones_are_taken() {
 
 #[test]
 fn tiles_give_the_map_of_the_processor() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     let (width, height) = (210, 98);
     let pixels = pair(width, height, 12, 400);
-    let [left, right] = pixels.each_ref().map(|p| View::with_stride(&p[..], width, height, 1, width + PADDING));
+    let views = pixels.each_ref().map(|p| View::with_stride(&p[..], width, height, 1, width + PADDING));
     let mut tiles = Vec::new();
     for (row, y) in (0..height - 10).step_by(33).enumerate() {
         for (column, x) in (0..width).step_by(47).enumerate() {
@@ -266,38 +281,30 @@ fn tiles_give_the_map_of_the_processor() {
     for given in [&tiles[..], &tiles[3..4], &[]] {
         for left_right_px in [Some(1), None] {
             let params = BlockMatchingParams { left_right_px, ..params(0, 64, 9) };
-            let found = maps((width, height), false, |map, _| {
-                matcher.compute_tiles(&params, left, right, given, map, &Serial).expect("matched on the device");
-            });
+            let found = matcher.maps(views, |blocks, views, [map, _]| blocks.compute_tiles(&params, views, given, map));
+            let found = found.expect("matched on the device");
             let mut processor = BlockMatcher::new(params).expect("a matcher");
-            let expected = maps((width, height), false, |map, _| {
-                processor.compute_tiles(left, right, given, &Serial, lent(map)).expect("matched on the processor");
+            let expected = maps((width, height), |[map, _]| {
+                processor.compute_tiles(views[0], views[1], given, &Serial, map).expect("matched on the processor");
             });
             let (known, _) = compare(&found[0], &expected[0], width, &format!("{} tiles", given.len()));
             assert_eq!(known > 0, !given.is_empty());
         }
     }
     let wide = Tile { area: Rect::new(0, 0, 10, 10), first_px: 0, search_px: 513 };
-    maps((width, height), false, |map, _| {
-        let refused = matcher.compute_tiles(&params(0, 64, 9), left, right, &[wide], map, &Serial);
-        assert!(refused.is_err_and(|e| e.to_string().contains("513")));
-    });
+    let refused =
+        matcher.maps(views, |blocks, views, [map, _]| blocks.compute_tiles(&params(0, 64, 9), views, &[wide], map));
+    assert!(refused.is_err_and(|e| e.to_string().contains("513")));
 }
 
 #[test]
 fn what_does_not_fit_is_refused_and_the_matcher_goes_on() {
-    let Some(gpu) = device() else { return };
-    let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
+    let Some(mut matcher) = Matcher::new() else { return };
     let pixels = vec![9; 64 * 48];
-    let (view, small) = (View::new(&pixels[..], 64, 48, 1), View::new(&pixels[..], 60, 48, 1));
+    let view = View::new(&pixels[..], 64, 48, 1);
     let roi = Rect::whole(64, 48);
-    let mut map = vec![0.0; 64 * 48];
-    let mut map = ViewMut::new(&mut map, 64, 48, 1);
     let refused =
-        matcher.compute(&params(0, 32, 9), view, small, roi, &mut map, None, &Serial).expect_err("refused").to_string();
-    assert!(refused.contains("right view") && refused.contains("60x48"), "{refused}");
-    let refused =
-        matcher.compute(&params(0, 32, 8), view, view, roi, &mut map, None, &Serial).expect_err("refused").to_string();
-    assert!(refused.contains("block_px"), "{refused}");
+        matcher.maps([view; 2], |blocks, views, [map, _]| blocks.compute(&params(0, 32, 8), views, roi, (map, None)));
+    assert!(refused.is_err_and(|e| e.to_string().contains("block_px")));
     check_size(&mut matcher, &params(0, 32, 9), (64, 48), roi, true, 500);
 }

@@ -3,6 +3,7 @@
 mod block_matching;
 mod pair;
 mod rectify;
+mod scale;
 #[path = "../../../../tests/support/gpu.rs"]
 pub mod support;
 mod threads;

@@ -6,8 +6,8 @@ use std::sync::Mutex;
 
 use panoscope_imaging::lit::LitPart;
 use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, PairMatcher, PairParams, SearchParams};
-use panoscope_imaging::{Rect, Report, Serial, Silent, View, ViewMut};
-use panoscope_stereo::gpu::pair::{GpuPairMatcher, ViewsThere};
+use panoscope_imaging::{Rect, Report, Serial, View, ViewMut};
+use panoscope_stereo::gpu::pair::GpuPairMatcher;
 
 use super::support::{Held, device};
 
@@ -90,14 +90,14 @@ impl Case {
         pairs.iter_mut().for_each(|pair| pair.set_lit(parts, 3));
         let mut processor = BlockMatcher::new(blocks.clone()).expect("a matcher");
         let mut on_gpu = GpuPairMatcher::new(gpu).expect("a matcher");
-        let (metrics, mut last) = (Metrics::default(), Vec::new());
+        let (metrics, of_host, mut last) = (Metrics::default(), Metrics::default(), Vec::new());
         for call in 0..3 {
             let mut expected = [0, 1].map(|_| vec![-1.0f32; width * height]);
             let [left, right] = expected.each_mut().map(|map| ViewMut::new(map, width, height, 1));
             let right = self.has_right.then_some(right);
             let [of_processor, of_gpu] = &mut pairs;
             of_processor
-                .compute(&Silent, &mut processor, views, self.roi, &self.params, &Serial, left, right)
+                .compute(&of_host, &mut processor, views, self.roi, &self.params, &Serial, left, right)
                 .expect("matched on the processor");
             let stride = width + 7;
             let rows = |view: &Vec<u8>| {
@@ -105,10 +105,10 @@ impl Case {
             };
             let held = given.each_ref().map(|view| Held::of(gpu, &rows(view), width, height, stride));
             let maps = [0, 1].map(|_| Held::new(gpu, width, height, 4));
-            let there = ViewsThere { images: held.each_ref().map(|held| held.image), fetch: &|| views };
+            let there = held.each_ref().map(|held| held.image);
             let right = self.has_right.then_some(maps[1].image);
             on_gpu
-                .compute(of_gpu, &metrics, there, self.roi, (&blocks, &self.params), &Serial, maps[0].image, right)
+                .compute(of_gpu, &metrics, there, self.roi, (&blocks, &self.params, 1), &Serial, maps[0].image, right)
                 .expect("matched on the device");
             for side in 0..if self.has_right { 2 } else { 1 } {
                 let bytes = maps[side].rows(gpu, 4 * width);
@@ -121,6 +121,9 @@ impl Case {
             }
             last = std::mem::take(&mut expected[0]);
         }
+        let [row_error, expected] = [&metrics, &of_host].map(|metrics| metrics.first("epipolar_px"));
+        let is_same = (row_error.is_nan() && expected.is_nan()) || (row_error - expected).abs() < 1e-6;
+        assert!(is_same, "{what}: {row_error} rows and not {expected}");
         Some((last, metrics))
     }
 
@@ -162,6 +165,16 @@ fn tiles_stay_there() {
         let known = map.iter().filter(|d| d.is_finite()).count();
         assert!(known * 10 > map.len(), "{known}");
     }
+}
+
+#[test]
+fn rows_are_measured_there() {
+    let size = (403, 250);
+    let [left, mut right] = pair(size, |x, _| 30.0 + x / 50.0);
+    right.rotate_right(size.0);
+    let Some((_, metrics)) = Case::new(size).check(&[left, right], "a right view that is a row lower") else { return };
+    let row_error = metrics.first("epipolar_px");
+    assert!((row_error - 1.0).abs() < 0.3, "{row_error}");
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Kernels of several nodes share one device.
 
 use super::support::{Held, device, picture};
+use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::BlockMatchingParams;
-use panoscope_imaging::{Rect, Serial, View, ViewMut};
 use panoscope_stereo::gpu::block_matching::GpuBlockMatcher;
 use panoscope_stereo::gpu::rectify::{Rectifier, RectifyJob};
 
@@ -28,15 +28,15 @@ fn kernels_on_several_threads_do_not_disturb_each_other() {
     let matches = || {
         let mut matcher = GpuBlockMatcher::new(gpu).expect("a matcher");
         let gray: Vec<u8> = picture(SIZE.0, SIZE.1, SIZE.0 * 3, 9).as_chunks::<3>().0.iter().map(|p| p[0]).collect();
-        let view = View::new(&gray[..], SIZE.0, SIZE.1, 1);
+        let view = Held::of(gpu, &gray, SIZE.0, SIZE.1, SIZE.0);
         let params = BlockMatchingParams { search_px: 32, block_px: 9, ..BlockMatchingParams::default() };
         for frame in 0..FRAMES {
-            let mut map = vec![1.0; SIZE.0 * SIZE.1];
-            let mut target = ViewMut::new(&mut map, SIZE.0, SIZE.1, 1);
-            let whole = Rect::whole(SIZE.0, SIZE.1);
-            let done = matcher.compute(&params, view, view, whole, &mut target, None, &Serial);
+            let map = Held::of(gpu, &[0; 4 * SIZE.0 * SIZE.1], SIZE.0, SIZE.1, 4 * SIZE.0);
+            let done = matcher.compute(&params, [view.image; 2], Rect::whole(SIZE.0, SIZE.1), (map.image, None));
             done.unwrap_or_else(|e| panic!("frame {frame}: {e}"));
-            assert!(map.iter().filter(|value| value.is_finite()).all(|value| value.abs() < 1.0), "frame {frame}");
+            let values = map.rows(gpu, 4 * SIZE.0);
+            let values = values.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+            assert!(values.filter(|value| value.is_finite()).all(|value| value.abs() < 1.0), "frame {frame}");
         }
     };
     std::thread::scope(|scope| {

@@ -2,12 +2,13 @@
 
 use super::StereoError;
 use super::pair::{MapSamples, PairViews};
-use crate::{Rect, View};
+use crate::Rect;
 
 /// Rows searched above and below.
 const REACH: usize = 6;
-/// Half the side of the matching window, in px.
+/// Half the side of the matching window, and the side, in px.
 const RADIUS: usize = 4;
+const SIDE: usize = 2 * RADIUS + 1;
 /// Spacing of the measured points, in px.
 const STEP: usize = 24;
 /// Smallest number of points for a result.
@@ -17,6 +18,9 @@ const MIN_POINTS: usize = 24;
 #[derive(Debug, Default)]
 pub struct Epipolar {
     samples: Vec<f32>,
+    /// First columns and rows of the patches around matched points in both views, and the patches.
+    corners: [Vec<[usize; 2]>; 2],
+    patches: [Vec<u8>; 2],
     errors: Vec<f32>,
 }
 
@@ -24,8 +28,7 @@ pub struct Epipolar {
 const MARGIN: usize = REACH + RADIUS + 1;
 
 impl Epipolar {
-    /// Median distance in px of matched points from their rows; `None` when too few points have vertical texture. Where
-    /// points are matched, it looks at both views in the host's memory.
+    /// Median distance in px of matched points from their rows; `None` when too few points have vertical texture.
     ///
     /// # Errors
     /// Those of the views and of the map.
@@ -42,17 +45,28 @@ impl Epipolar {
         let area = Rect::new(MARGIN, MARGIN, width - 2 * MARGIN, height - 2 * MARGIN);
         disparity.samples(area, STEP, &mut self.samples)?;
         let columns = area.width.div_ceil(STEP);
-        let points = self.samples.iter().enumerate().filter_map(|(at, d)| {
+        let [left, right] = &mut self.corners;
+        left.clear();
+        right.clear();
+        for (at, d) in self.samples.iter().enumerate() {
             let (x, y) = (MARGIN + at % columns * STEP, MARGIN + at / columns * STEP);
             let to = x as f32 - d;
             // NaN fails.
-            (to >= MARGIN as f32 && to < (width - MARGIN) as f32).then(|| ((x, y), to.round() as usize))
-        });
-        if points.clone().count() < MIN_POINTS {
+            if to >= MARGIN as f32 && to < (width - MARGIN) as f32 {
+                left.push([x - RADIUS, y - RADIUS]);
+                right.push([to.round() as usize - RADIUS, y - RADIUS - REACH]);
+            }
+        }
+        if left.len() < MIN_POINTS {
             return Ok(None);
         }
-        let [left, right] = views.whole()?;
-        self.errors.extend(points.filter_map(|(at, to)| vertical_error(left, right, at, to)).map(f32::abs));
+        let [patches, patches_right] = &mut self.patches;
+        views.patches(0, left, (SIDE, SIDE), patches)?;
+        views.patches(1, right, (SIDE, SIDE + 2 * REACH), patches_right)?;
+        let (patches, _) = patches.as_chunks::<{ SIDE * SIDE }>();
+        let patches_right = patches_right.chunks_exact(SIDE * (SIDE + 2 * REACH));
+        let errors = patches.iter().zip(patches_right).filter_map(|(left, right)| vertical_error(left, right));
+        self.errors.extend(errors.map(f32::abs));
         if self.errors.len() < MIN_POINTS {
             return Ok(None);
         }
@@ -61,26 +75,16 @@ impl Epipolar {
     }
 }
 
-/// Rows from the left point to the best matching right one, to a fraction of a row.
-fn vertical_error(left: View<'_, u8>, right: View<'_, u8>, (x, y): (usize, usize), to: usize) -> Option<f32> {
-    const SIDE: usize = 2 * RADIUS + 1;
-    let mean = |view: View<'_, u8>, x: usize, y: usize| -> i32 {
-        let rows = y - RADIUS..=y + RADIUS;
-        let sum: u32 =
-            rows.flat_map(|row| &view.row(row)[x - RADIUS..=x + RADIUS]).map(|value| u32::from(*value)).sum();
-        (sum / (SIDE * SIDE) as u32) as i32
-    };
-    let own = mean(left, x, y);
+/// Rows from the left point, in the middle of its patch, to the best matching right one, to a fraction of a row.
+fn vertical_error(left: &[u8; SIDE * SIDE], right: &[u8]) -> Option<f32> {
+    let mean = |patch: &[u8]| (patch.iter().map(|value| u32::from(*value)).sum::<u32>() / (SIDE * SIDE) as u32) as i32;
+    let own = mean(left);
     let mut costs = [0_i32; 2 * REACH + 1];
     for (step, cost) in costs.iter_mut().enumerate() {
-        let row = y + step - REACH;
+        let right = &right[step * SIDE..(step + SIDE) * SIDE];
         // Exposure may differ between the views.
-        let gap = own - mean(right, to, row);
-        for line in 0..SIDE {
-            let a = &left.row(y + line - RADIUS)[x - RADIUS..=x + RADIUS];
-            let b = &right.row(row + line - RADIUS)[to - RADIUS..=to + RADIUS];
-            *cost += a.iter().zip(b).map(|(a, b)| (i32::from(*a) - i32::from(*b) - gap).abs()).sum::<i32>();
-        }
+        let gap = own - mean(right);
+        *cost = left.iter().zip(right).map(|(a, b)| (i32::from(*a) - i32::from(*b) - gap).abs()).sum();
     }
     let (best, least) = costs.iter().enumerate().min_by_key(|(_, cost)| **cost)?;
     let most = costs.iter().max()?;

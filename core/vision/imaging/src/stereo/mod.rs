@@ -80,4 +80,4 @@ pub use surface_point::{Sample, SurfacePoint};
 pub use tile::{Tile, project_right};
 pub use view_delay::{Delay, RowSample, ViewDelay};
 pub use view_order::{Order, OrderEvidence, ViewOrder};
-pub use wls::{SolveError, WlsFilter, WlsParams, WlsSolver};
+pub use wls::{WlsFilter, WlsParams};

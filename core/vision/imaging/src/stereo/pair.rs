@@ -89,11 +89,18 @@ pub trait PairViews {
     /// [`StereoError::Device`].
     fn border(&mut self, columns: usize) -> Result<[View<'_, u8>; 2], StereoError>;
 
-    /// Both views in the host's memory.
+    /// Writes patches of a view, of `width` x `height` px each, into `out`, one after the other, row after row. `corners` are
+    /// their first columns and rows; all of a patch lies inside the view.
     ///
     /// # Errors
     /// [`StereoError::Device`].
-    fn whole(&mut self) -> Result<[View<'_, u8>; 2], StereoError>;
+    fn patches(
+        &mut self,
+        side: usize,
+        corners: &[[usize; 2]],
+        size: (usize, usize),
+        out: &mut Vec<u8>,
+    ) -> Result<(), StereoError>;
 }
 
 impl PairViews for [View<'_, u8>; 2] {
@@ -124,8 +131,18 @@ impl PairViews for [View<'_, u8>; 2] {
         Ok([left.crop(left.width - columns, 0, columns, left.height), right.crop(0, 0, columns, right.height)])
     }
 
-    fn whole(&mut self) -> Result<[View<'_, u8>; 2], StereoError> {
-        Ok(*self)
+    fn patches(
+        &mut self,
+        side: usize,
+        corners: &[[usize; 2]],
+        (width, height): (usize, usize),
+        out: &mut Vec<u8>,
+    ) -> Result<(), StereoError> {
+        out.clear();
+        for [x, y] in corners {
+            (*y..y + height).for_each(|row| out.extend_from_slice(&self[side].row(row)[*x..x + width]));
+        }
+        Ok(())
     }
 }
 

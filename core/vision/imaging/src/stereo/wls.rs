@@ -15,7 +15,7 @@ use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
 use crate::stereo::{StereoError, matching::fill_nan};
-use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
+use crate::{Parallel, Rect, SharedMut, Simd, ViewMut};
 
 /// Strength and sharpness of the filter.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,25 +64,6 @@ impl WlsParams {
     }
 }
 
-/// Why a [`WlsSolver`] failed: each device has its own errors.
-pub type SolveError = Box<dyn std::error::Error + Send + Sync>;
-
-/// Solves the systems of the filter elsewhere than on the processor, for instance on a GPU.
-pub trait WlsSolver: std::fmt::Debug + Send {
-    /// Smooths disparity times confidence and confidence, the `planes`, in place: `roi.width` x `roi.height` values
-    /// each, row after row, guided by `roi` of `guide`.
-    ///
-    /// # Errors
-    /// The solver failed. The processor then solves the whole map, from the inputs on.
-    fn solve(
-        &mut self,
-        guide: View<'_, u8>,
-        roi: Rect,
-        params: &WlsParams,
-        planes: [&mut [f32]; 2],
-    ) -> Result<(), SolveError>;
-}
-
 /// The filter with its work memory. Allocates only for a larger size than before.
 #[derive(Debug)]
 pub struct WlsFilter {
@@ -95,8 +76,6 @@ pub struct WlsFilter {
     scratch: Scratch,
     kept: KeptRegions,
     avx2: bool,
-    solver: Option<Box<dyn WlsSolver>>,
-    solver_fault: Option<String>,
 }
 
 impl WlsFilter {
@@ -116,30 +95,12 @@ impl WlsFilter {
             scratch: Scratch::default(),
             kept: KeptRegions::default(),
             avx2: Simd::detect().avx2(),
-            solver: None,
-            solver_fault: None,
         })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
     pub fn force_portable(&mut self) {
         self.avx2 = false;
-    }
-
-    /// Lets `solver` solve the systems. One that fails is not used again.
-    pub fn set_solver(&mut self, solver: Option<Box<dyn WlsSolver>>) {
-        self.solver = solver;
-        self.solver_fault = None;
-    }
-
-    /// Whether a solver is set that has not failed.
-    pub fn has_solver(&self) -> bool {
-        self.solver.is_some()
-    }
-
-    /// The error of the failed solver; returned once.
-    pub fn take_solver_fault(&mut self) -> Option<String> {
-        self.solver_fault.take()
     }
 
     /// The parameters in use.
@@ -195,16 +156,7 @@ impl WlsFilter {
             return Ok(());
         }
         self.prepare(&input, roi, pool);
-        if let Some(solver) = &mut self.solver
-            && let Err(reason) = solver.solve(input.guide, roi, &self.params, [&mut self.product, &mut self.support])
-        {
-            self.solver = None;
-            self.solver_fault = Some(reason.to_string());
-            self.prepare(&input, roi, pool);
-        }
-        if self.solver.is_none() {
-            self.solve(roi, pool);
-        }
+        self.solve(roi, pool);
 
         let (stride, out) = (disparity.stride, SharedMut::new(&mut *disparity.data));
         let (stride_confidence, out_confidence) = match &mut confidence {
@@ -246,7 +198,7 @@ impl WlsFilter {
         }
     }
 
-    /// Guide weights unless a solver finds them, confidence, and disparity times confidence.
+    /// Guide weights, confidence, and disparity times confidence.
     fn prepare(&mut self, input: &FilterInput<'_>, roi: Rect, pool: &dyn Parallel) {
         let n = roi.width * roi.height;
         for plane in [&mut self.right, &mut self.down, &mut self.product, &mut self.support] {
@@ -256,7 +208,6 @@ impl WlsFilter {
         let (right, down) = (SharedMut::new(&mut self.right), SharedMut::new(&mut self.down));
         let product = SharedMut::new(&mut self.product);
         let (sigma, avx2, support) = (self.params.sigma_color, self.avx2, &self.support);
-        let is_weighed = self.solver.is_none();
         const CHUNK_ROWS: usize = 16;
         pool.run(roi.height.div_ceil(CHUNK_ROWS), &|chunk| {
             for row in chunk * CHUNK_ROWS..((chunk + 1) * CHUNK_ROWS).min(roi.height) {
@@ -265,9 +216,7 @@ impl WlsFilter {
                 let (right, down, product) =
                     unsafe { (right.part(from, roi.width), down.part(from, roi.width), product.part(from, roi.width)) };
                 let at = (roi.x, roi.y + row, roi.width);
-                if is_weighed {
-                    weights_row(input.guide, at, row + 1 == roi.height, sigma, avx2, right, down);
-                }
+                weights_row(input.guide, at, row + 1 == roi.height, sigma, avx2, right, down);
                 let disparity = &input.disparity.row(roi.y + row)[roi.x..roi.x + roi.width];
                 let support = &support[from..from + roi.width];
                 for ((product, disparity), support) in product.iter_mut().zip(disparity).zip(support) {
