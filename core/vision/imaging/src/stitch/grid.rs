@@ -4,6 +4,8 @@
 //! partner in the right rectified view is `Q = P - (d, 0)`. Both are mapped back to the cameras' original images, and
 //! RANSAC finds the homography between them. Algorithm 2 of that chapter stabilises it.
 
+use std::ops::Range;
+
 use super::coarse::{enlarged, map_factor};
 use super::disparity_plane::{DisparityPlane, Sample};
 use super::rectified_view::RectifiedView;
@@ -154,6 +156,32 @@ pub struct RegisterGrid {
     is_narrow: bool,
 }
 
+/// A grid on an area, px.
+struct Cells {
+    area: Rect,
+    rows: usize,
+    columns: usize,
+    /// Spacing of the pixels that are used.
+    step: usize,
+}
+
+impl Cells {
+    fn column(&self, at: usize) -> Range<usize> {
+        let Rect { x, width, .. } = self.area;
+        x + at * width / self.columns..x + (at + 1) * width / self.columns
+    }
+
+    fn row(&self, at: usize) -> Range<usize> {
+        let Rect { y, height, .. } = self.area;
+        y + at * height / self.rows..y + (at + 1) * height / self.rows
+    }
+
+    /// The pixels of a cell that are used, along one axis.
+    fn sampled(&self, range: Range<usize>) -> impl Iterator<Item = usize> + use<> {
+        (range.start + self.step / 2..range.end).step_by(self.step)
+    }
+}
+
 /// Pairs per direction that transfer a plane to images that are not rectified.
 const PLANE_PAIRS: usize = 5;
 /// Maximum distance of a sample from its plane, independent of the homography's threshold.
@@ -231,6 +259,17 @@ impl RegisterGrid {
         let [small_left, small_right] = [left, right].map(|view| view.shrunk(factor));
         let found = self.register_map(disparity, &small_left, &small_right);
         found.enlarged(factor, [left.size, right.size])
+    }
+
+    /// Columns and rows, ascending, that the next map is read at, if it is of this size; `None` if all of it may be.
+    pub fn pixels(&self, size: (usize, usize), left: &RectifiedView, right: &RectifiedView) -> Option<[Vec<u32>; 2]> {
+        let factor = map_factor(size, left.size).filter(|factor| *factor == self.factor)?;
+        let right_size = if factor == 1 { right.size } else { right.shrunk(factor).size };
+        let cells = self.cells(self.known_area(size, right_size)?)?;
+        let [x, y] = [cells.columns, cells.rows].map(|count| 0..count);
+        let columns = x.flat_map(|at| cells.sampled(cells.column(at))).map(|x| x as u32).collect();
+        let rows = y.flat_map(|at| cells.sampled(cells.row(at))).map(|y| y as u32).collect();
+        Some([columns, rows])
     }
 
     /// Registers by a map as large as the images.
@@ -353,40 +392,49 @@ impl RegisterGrid {
         Rect::new(x, y, columns, rows)
     }
 
+    /// The overlap of the last map, in maps of `size`, if that map was registered.
+    fn known_area(&self, (width, height): (usize, usize), right: (usize, usize)) -> Option<Rect> {
+        // Rectified views differ from the pictures by little, so that the pictures' overlap places the grid.
+        let map = self.memory.filter(|_| self.failures == 0)?;
+        Some(overlap_roi(&map, right.0, right.1, width, height))
+    }
+
+    /// The grid on an area; `None` if it is too small.
+    fn cells(&self, area: Rect) -> Option<Cells> {
+        let step = self.scaled.step_px.max(1);
+        let (rows, columns) = (self.scaled.rows.max(1), self.scaled.columns.max(1));
+        // Cells of a narrow overlap still hold some pixels each.
+        let columns = columns.min(area.width / (MIN_CELL_STEPS * step));
+        if columns == 0 || area.height < rows {
+            return None;
+        }
+        // A median of some hundred pixels is as good as one of thousands.
+        let in_cell = area.width / columns * (area.height / rows);
+        Some(Cells { area, rows, columns, step: step.max((in_cell / MAX_CELL_PIXELS).isqrt()) })
+    }
+
     /// Lays the grid and takes a pair from each cell.
     fn gather(&mut self, disparity: View<'_, f32>, left: &RectifiedView, right: &RectifiedView) {
         self.from.clear();
         self.to.clear();
         let (width, height) = (disparity.width, disparity.height);
-        // Rectified views differ from the pictures by little, so that the pictures' overlap places the grid.
-        let known = self.memory.filter(|_| self.failures == 0);
-        let step = self.scaled.step_px.max(1);
-        let area = match known {
-            Some(map) => overlap_roi(&map, right.size.0, right.size.1, width, height),
-            None => self.shared_area(disparity, step),
+        let area = match self.known_area((width, height), right.size) {
+            Some(area) => area,
+            None => self.shared_area(disparity, self.scaled.step_px.max(1)),
         };
         self.is_narrow = area.width * NARROW_PART < width || area.height * NARROW_PART < height;
-        let (rows, columns) = (self.scaled.rows.max(1), self.scaled.columns.max(1));
+        let count = self.scaled.rows.max(1) * self.scaled.columns.max(1);
         self.samples.clear();
-        self.samples.reserve(rows * columns);
-        self.from.reserve(rows * columns);
-        self.to.reserve(rows * columns);
-        self.mask.reserve((rows * columns).saturating_sub(self.mask.len()));
-        self.ransac.reserve(rows * columns);
-        self.stability.reserve(rows * columns, self.scaled.anchor_fit);
-        // Cells of a narrow overlap still hold some pixels each.
-        let columns = columns.min(area.width / (MIN_CELL_STEPS * step));
-        if columns == 0 || area.height < rows {
-            return;
-        }
-        // A median of some hundred pixels is as good as one of thousands.
-        let in_cell = area.width / columns * (area.height / rows);
-        let step = step.max((in_cell / MAX_CELL_PIXELS).isqrt());
-        for row in 0..rows {
-            let (y0, y1) = (area.y + row * area.height / rows, area.y + (row + 1) * area.height / rows);
-            for column in 0..columns {
-                let (x0, x1) = (area.x + column * area.width / columns, area.x + (column + 1) * area.width / columns);
-                let Some((point, d)) = self.cell(disparity, (x0, x1), (y0, y1), step) else { continue };
+        self.samples.reserve(count);
+        self.from.reserve(count);
+        self.to.reserve(count);
+        self.mask.reserve(count.saturating_sub(self.mask.len()));
+        self.ransac.reserve(count);
+        self.stability.reserve(count, self.scaled.anchor_fit);
+        let Some(cells) = self.cells(area) else { return };
+        for row in 0..cells.rows {
+            for column in 0..cells.columns {
+                let Some((point, d)) = self.cell(disparity, &cells, (column, row)) else { continue };
                 let other = [point[0] - f64::from(d), point[1]];
                 if other[0] >= 0.0 {
                     self.samples.push(Sample { at: point, disparity_px: f64::from(d) });
@@ -405,18 +453,13 @@ impl RegisterGrid {
         }
     }
 
-    fn cell(
-        &mut self,
-        disparity: View<'_, f32>,
-        (x0, x1): (usize, usize),
-        (y0, y1): (usize, usize),
-        step: usize,
-    ) -> Option<(Point, f32)> {
+    fn cell(&mut self, disparity: View<'_, f32>, cells: &Cells, (column, row): (usize, usize)) -> Option<(Point, f32)> {
+        let (columns, rows) = (cells.column(column), cells.row(row));
         self.cell.clear();
         let (mut looked, mut peak) = (0usize, (0.0f32, [0.0; 2]));
-        for y in (y0 + step / 2..y1).step_by(step) {
+        for y in cells.sampled(rows.clone()) {
             let line = disparity.row(y);
-            for x in (x0 + step / 2..x1).step_by(step) {
+            for x in cells.sampled(columns.clone()) {
                 looked += 1;
                 let d = line[x];
                 if d > 0.0 && d.is_finite() {
@@ -435,7 +478,8 @@ impl RegisterGrid {
             CellPoint::Peak => Some((peak.1, peak.0)),
             CellPoint::Median => {
                 let (_, &mut median, _) = self.cell.select_nth_unstable_by(valid / 2, f32::total_cmp);
-                Some(([(x0 + x1 - 1) as f64 / 2.0, (y0 + y1 - 1) as f64 / 2.0], median))
+                let middle = |range: Range<usize>| (range.start + range.end - 1) as f64 / 2.0;
+                Some(([middle(columns), middle(rows)], median))
             }
         }
     }
@@ -461,6 +505,30 @@ mod tests {
     /// Disparity of a plane that leans back: `d = 200 + x / 40 - y / 30`.
     fn plane() -> Vec<f32> {
         (0..640 * 480).map(|i| 200.0 + (i % 640) as f32 / 40.0 - (i / 640) as f32 / 30.0).collect()
+    }
+
+    #[test]
+    fn pixels_that_are_not_announced_are_not_read() {
+        let map = plane();
+        let size = (640, 480);
+        let [mut whole, mut part] = [0, 1].map(|_| RegisterGrid::new(GridParams::default()));
+        assert_eq!(part.pixels(size, &camera(), &camera()), None, "the first map");
+        for tick in 0..3 {
+            let known = part.pixels(size, &camera(), &camera());
+            assert_eq!(known.is_some(), tick > 0);
+            let is_known = |at: usize| {
+                known.as_ref().is_none_or(|[columns, rows]| {
+                    columns.contains(&(at as u32 % 640)) && rows.contains(&(at as u32 / 640))
+                })
+            };
+            let seen: Vec<f32> = (0..map.len()).map(|at| if is_known(at) { map[at] } else { 1e9 }).collect();
+            let [expected, found] = [(&mut whole, &map), (&mut part, &seen)]
+                .map(|(grid, map)| grid.register(View::new(map, 640, 480, 1), &camera(), &camera()));
+            assert_eq!(found, expected, "tick {tick}");
+            assert_eq!(found.state, RegistrationState::Fresh);
+            let count = known.map_or(0, |[columns, rows]| columns.len() * rows.len());
+            assert!(count < 640 * 480 / 8, "{count}");
+        }
     }
 
     #[test]
