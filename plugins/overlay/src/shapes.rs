@@ -175,7 +175,7 @@ fn joined(is_touched: &[bool], columns: usize) -> Vec<Rect> {
 
 #[cfg(test)]
 mod tests {
-    use panoscope_imaging::Random;
+    use panoscope_node::random;
 
     use super::*;
 
@@ -203,14 +203,16 @@ mod tests {
 
     #[test]
     fn areas_hold_all_that_is_drawn() {
-        let mut random = Random::new(5);
+        let mut drawn = 0;
         for size in [(301, 143), (64, 32), (63, 97), (3, 2)] {
             for _ in 0..60 {
-                let mut next = |low: f32, high: f32| low + (high - low) * random.next_f32();
-                let mut shapes = Shapes::default();
-                let mut at = || (next(-80.0, 380.0), next(-80.0, 220.0));
-                let (a, b, c) = (at(), at(), at());
+                let mut next = |low: f32, high: f32| {
+                    drawn += 1;
+                    low + (high - low) * random::unit(drawn) as f32
+                };
+                let [a, b, c] = [0; 3].map(|_| (next(-80.0, 380.0), next(-80.0, 220.0)));
                 let (radius, line_px, scale) = (next(0.0, 40.0), next(0.5, 12.0), next(0.5, 5.0));
+                let mut shapes = Shapes::default();
                 shapes.line(a, b, line_px, COLOR);
                 check(&shapes, size);
                 shapes.clear();

@@ -12,7 +12,7 @@ use panoscope_node::{
 };
 
 use panoscope_data::calibration::packet as calibration;
-use surface::{Surface, window};
+use surface::{Surface, pixels};
 
 /// Kind of measurement.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
@@ -301,14 +301,14 @@ impl Node for Measure {
             || input.depth.is_some_and(|depth| depth.is_from_device())
             || input.confidence.is_some_and(|confidence| confidence.is_from_device());
         let given = self.given.iter().filter(|_| is_there);
-        let windows: Vec<Grid> = given.filter_map(|point| window(size, *point, params.radius_px)).collect();
+        let parts: Vec<Grid> = given.flat_map(|point| pixels(size, *point, params.radius_px)).collect();
         let mut seen = std::mem::take(&mut self.seen);
         let surface = match (&input.cloud, &input.depth, &views) {
-            (Some(cloud), ..) => Some(Surface::Cloud(seen.cloud.view(*cloud, &windows))),
-            (None, Some(depth), Some((_, views))) => Some(Surface::Depth(seen.depth.view(*depth, &windows), views)),
+            (Some(cloud), ..) => Some(Surface::Cloud(seen.cloud.view(*cloud, &parts))),
+            (None, Some(depth), Some((_, views))) => Some(Surface::Depth(seen.depth.view(*depth, &parts), views)),
             _ => None,
         };
-        let trust = input.confidence.map(|map| seen.confidence.view(map, &windows));
+        let trust = input.confidence.map(|map| seen.confidence.view(map, &parts));
         if let Some(surface) = &surface {
             self.gather(&input, surface, trust, params);
         }

@@ -1,9 +1,9 @@
 //! Where the measured surface comes from: a cloud, or depths with the camera that saw them.
 
 use panoscope_imaging::stereo::{Rectification, Sample, SurfacePoint};
+use panoscope_node::View;
 use panoscope_node::abi::CloudPoint;
 use panoscope_node::pick::Grid;
-use panoscope_node::{Rect, View};
 
 /// Where depths come from.
 pub enum Surface<'f> {
@@ -13,14 +13,11 @@ pub enum Surface<'f> {
     Depth(View<'f, f32>, &'f Rectification),
 }
 
-/// The pixels of a surface of `size` that [`Surface::at`] reads for a point; `None` where it reads none.
-pub fn window((width, height): (usize, usize), [u, v]: [f64; 2], radius: usize) -> Option<Grid> {
-    // NaN fails.
-    let is_inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
-    is_inside.then(|| {
-        let middle = Rect::new((u.round() as usize).min(width - 1), (v.round() as usize).min(height - 1), 1, 1);
-        Grid::of_area(middle.grown(radius, width, height))
-    })
+/// The pixels of a surface of `size` that [`Surface::at`] reads for a point.
+pub fn pixels(size: (usize, usize), at: [f64; 2], radius: usize) -> Vec<Grid> {
+    let Some((area, further)) = SurfacePoint::pixels(size, at, radius) else { return Vec::new() };
+    let [columns, rows] = further.map(|places| places.into_iter().map(|place| place as u32).collect());
+    vec![Grid::of_area(area), Grid { columns, rows }]
 }
 
 impl Surface<'_> {

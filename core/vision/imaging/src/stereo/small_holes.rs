@@ -163,7 +163,6 @@ impl SmallHoles {
             start += piece.len();
         }
         self.filled.iter().for_each(|(at, _)| self.was_filled[*at] = false);
-        self.filled.clear();
     }
 
     /// Finds the pieces of unknown pixels of at most `max_area` that do not reach the edge.
@@ -222,6 +221,7 @@ impl SmallHoles {
     }
 
     fn fill_holes(&mut self, width: usize, focal_px: f32, baseline_mm: f32) {
+        self.filled.clear();
         let holes = std::mem::take(&mut self.holes);
         holes.iter().for_each(|hole| self.fill(width, hole, focal_px, focal_px * baseline_mm));
         self.holes = holes;
@@ -333,7 +333,9 @@ mod tests {
     #[test]
     fn a_map_that_is_elsewhere_gets_the_same_fillings() {
         let (mut here, mut there) = (SmallHoles::default(), SmallHoles::default());
-        for (number, (width, height)) in [(80, 60), (33, 40), (96, 31), (80, 60), (80, 60)].into_iter().enumerate() {
+        for (number, (width, height)) in
+            [(80_usize, 60_usize), (33, 40), (96, 31), (80, 60), (80, 60)].into_iter().enumerate()
+        {
             let mut next = number as u32;
             let map: Vec<f32> = (0..width * height)
                 .map(|at| {
