@@ -3,8 +3,6 @@
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{self, Color};
 
-use crate::shapes::Shapes;
-
 /// Height of a plate in units of the text scale: capitals, descenders and padding above and below.
 const PLATE: f32 = 11.0;
 /// Gap between and around plates, in units of the text scale.
@@ -64,13 +62,13 @@ pub fn filling(lines: usize, scale: f32, wanted_px: f32) -> (usize, f32) {
     (all, scale.max(scale * growth * units(lines) / units(all)))
 }
 
-/// Adds the dots of a key to the right of `(x, y)`, the centre of the first one.
-pub fn dots(shapes: &mut Shapes, (x, y): (f32, f32), key: Key, scale: f32) {
+/// Calls `disc` with middle, radius, colour and opacity of the dots of a key, to the right of `(x, y)`, the centre of the first one.
+pub fn dots(mut disc: impl FnMut((f32, f32), f32, Color, f32), (x, y): (f32, f32), key: Key, scale: f32) {
     for k in 0..key.dots.min(MAX_DOTS) {
         let x = x + k as f32 * DOT_STEP * scale;
         // A dark rim, for bright tissue.
-        shapes.disc((x, y), 2.0 * scale, [0; 3], 0.8);
-        shapes.disc((x, y), 1.4 * scale, key.color, 1.0);
+        disc((x, y), 2.0 * scale, [0; 3], 0.8);
+        disc((x, y), 1.4 * scale, key.color, 1.0);
     }
 }
 
@@ -227,9 +225,8 @@ impl Pen {
         let Some(out) = out else { return };
         draw::fill_rectangle(out, x as i32, y as i32, width as i32, (PLATE * s) as i32, PLATE_COLOR, 1.0);
         if let Some(key) = key {
-            let mut shapes = Shapes::default();
-            dots(&mut shapes, (x + (ROOM + 1.5) * s, y + PLATE * s / 2.0), key, s);
-            shapes.draw(out);
+            let disc = |(x, y): (f32, f32), radius, color, alpha| draw::fill_circle(out, x, y, radius, color, alpha);
+            dots(disc, (x + (ROOM + 1.5) * s, y + PLATE * s / 2.0), key, s);
         }
         draw::text(out, x + ROOM * s + self.key_px(key), y + 2.5 * s, words, s, INK);
     }

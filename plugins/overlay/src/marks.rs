@@ -152,7 +152,12 @@ pub fn box_keys(
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         // Inside the picture even where the box begins at its edge.
         let inset = 2.0 * pen.text_scale + pen.line_px;
-        bar::dots(shapes, (x.max(0.0) + inset, y.max(0.0) + inset), key, pen.text_scale);
+        bar::dots(
+            |at, radius, color, alpha| shapes.disc(at, radius, color, alpha),
+            (x.max(0.0) + inset, y.max(0.0) + inset),
+            key,
+            pen.text_scale,
+        );
         words.clear();
         let label = drawable_label(detections, item.class_index);
         if label.is_empty() {

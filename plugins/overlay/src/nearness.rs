@@ -56,7 +56,8 @@ pub fn draw(shapes: &mut Shapes, table: &Table<'_>, pen: &Pen, words: &mut Strin
         if pen.words != Words::Picture {
             let key = Key { color, dots: number + 1 };
             if pen.words == Words::Below {
-                bar::dots(shapes, (x + radius + 3.0 * pen.text_scale, y), key, pen.text_scale);
+                let disc = |at, radius, color, alpha| shapes.disc(at, radius, color, alpha);
+                bar::dots(disc, (x + radius + 3.0 * pen.text_scale, y), key, pen.text_scale);
                 plate(bar, row, [tissue_mm, state, tip_mm, tip_state], error_at, key, words);
             }
             continue;

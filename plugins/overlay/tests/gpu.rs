@@ -146,7 +146,7 @@ fn images_with_a_bar_do_not_depend_on_the_device() {
     }
     // What is drawn on the image: on the GPU, but for masks.
     for params in [BELOW, ", words = \"below\", line_px = 9.0, offset_px = [-40, 11]"] {
-        check::<Overlay>(params, 7, |node, at| marked(node, at));
+        check::<Overlay>(params, 7, marked);
     }
 }
 
@@ -305,7 +305,8 @@ fn the_processor_makes_images_that_the_device_loses() {
     check_lost::<Overlay>(BELOW, 2, |node| overlay(node, "12 mm", 0));
     // The parts that are drawn on, besides.
     check_lost::<Overlay>(BELOW, 3, |node| marked(node, 4));
-    check_lost::<Trajectory>("", 3, |node| trajectory(node, 0));
+    // Without a tip: what is drawn does not depend on the ticks before.
+    check_lost::<Trajectory>("", 3, |node| trajectory(node, 3));
     // The map, the sample, the colours.
     check_lost::<Colorize>(", scale_beside = true", 3, |node| colorize(node, 0.0));
 }

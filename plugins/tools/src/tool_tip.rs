@@ -422,7 +422,8 @@ impl ToolTip {
 
     /// Segments the instrument in a box, see [`Silhouette::cut`].
     fn cut(&mut self, corners: [f32; 4], views: &mut Views<'_, '_>) -> bool {
-        let (size, pixels) = (views.size, Silhouette::pixels(corners, views.size));
+        let size = views.size;
+        let pixels = if views.are_parts() { Silhouette::pixels(corners, size) } else { Vec::new() };
         let near = (views.depth_size() == Some(size)).then_some(&pixels[..]);
         let seen = views.parts([Some(&pixels), None, near]);
         let nearness = near.map(|_| &seen.space as &dyn Nearness);
@@ -472,8 +473,9 @@ impl ToolTip {
         if let (Some(calibration), Some(depth_size)) = (calibration, views.depth_size()) {
             let ends = jaws.as_ref().map_or(std::slice::from_ref(&tip), |jaws| &jaws[..]);
             let has_views = best.is_cut && views.left.is_some() && views.right.is_some();
-            let compared = has_views.then(|| tip_position::compared(ends, tools.size, views.focal_baseline));
-            let near = tip_position::around(ends, depth_size, params.radius_px);
+            let read = if views.are_parts() { ends } else { &[] };
+            let compared = has_views.then(|| tip_position::compared(read, tools.size, views.focal_baseline));
+            let near = tip_position::around(read, depth_size, params.radius_px);
             let [left, right] = [0, 1].map(|view| compared.as_ref().map(|parts| &parts[view][..]));
             let seen = views.parts([left, right, Some(&near)]);
             let scene = Scene {

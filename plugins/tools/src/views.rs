@@ -51,6 +51,13 @@ impl<'f> Views<'_, 'f> {
         of_depth.or(self.disparity.map(|map| (map.width(), map.height())))
     }
 
+    /// Whether parts of a frame on the GPU are read: only then it matters which.
+    pub fn are_parts(&self) -> bool {
+        let there = [self.left.map(|image| image.is_from_device()), self.right.map(|image| image.is_from_device())];
+        let map = [self.depth.map(|map| map.is_from_device()), self.disparity.map(|map| map.is_from_device())];
+        !self.is_whole && there.into_iter().chain(map).flatten().any(|is_there| is_there)
+    }
+
     /// Reads parts of the left view, the right view, and the depth. `None` leaves an input out.
     pub fn parts(&mut self, [left, right, depth]: [Option<&[Grid]>; 3]) -> ViewParts<'_> {
         fn part<'a, 'f: 'a, P: Plane>(
