@@ -14,7 +14,8 @@ use panoscope_node::abi::{
 };
 use panoscope_node::device::{DeviceImage, Steps};
 use panoscope_node::harness::{Harness, Level, Setup, lend_device};
-use panoscope_node::{Bgr8, Depth, Mask, Node};
+use panoscope_node::pick::{Grid, Picker};
+use panoscope_node::{Bgr8, Depth, Mask, Node, Rect};
 use panoscope_overlay::colorize::Colorize;
 use panoscope_overlay::gpu::fit::{DeviceFit, FitJob};
 use panoscope_overlay::overlay::Overlay;
@@ -64,6 +65,38 @@ fn images_are_brought_to_the_sizes_of_their_places() {
             let (most, _) = difference(&made, &expected);
             assert!(most <= limit, "{from:?} as {to:?}: {most}");
         }
+    }
+}
+
+#[test]
+fn chosen_pixels_are_read() {
+    let Some(gpu) = device() else { return };
+    let mut picker = Picker::new(gpu).expect("a kernel");
+    let (width, height) = (37, 23);
+    // Pixels of bytes, of words, of points; rows with and without padding.
+    for (pixel_bytes, padding) in [(1, 0), (1, 3), (3, 0), (3, 5), (4, 0), (4, 12), (16, 0)] {
+        let stride = width * pixel_bytes + padding;
+        let bytes: Vec<u8> = (0..stride * height).map(|at| (at * 37 % 251) as u8).collect();
+        let image = Held::of(gpu, &bytes, width, height, stride);
+        let grids = [
+            Grid::of_area(Rect::new(5, 3, 9, 4)),
+            Grid::of_steps((width, height), [7, 5]),
+            Grid::default(),
+            Grid { columns: vec![36], rows: vec![0, 1, 22] },
+            Grid::of_area(Rect::whole(width, height)),
+        ];
+        let words = picker.pick(image.image, pixel_bytes, &grids).expect("read").to_vec();
+        let mut rows = words.iter().flat_map(|word| word.to_le_bytes());
+        for grid in &grids {
+            let row_bytes = grid.columns.len() * pixel_bytes;
+            for y in grid.rows.iter().filter(|_| row_bytes > 0) {
+                let row: Vec<u8> = rows.by_ref().take(row_bytes.next_multiple_of(4)).collect();
+                let pixel = |x: &u32| &bytes[*y as usize * stride + *x as usize * pixel_bytes..][..pixel_bytes];
+                let expected: Vec<u8> = grid.columns.iter().flat_map(pixel).copied().collect();
+                assert_eq!(row[..row_bytes], expected, "{pixel_bytes} bytes, {padding} more, row {y}");
+            }
+        }
+        assert_eq!(rows.count(), 0);
     }
 }
 

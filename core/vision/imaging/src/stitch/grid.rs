@@ -4,10 +4,9 @@
 //! partner in the right rectified view is `Q = P - (d, 0)`. Both are mapped back to the cameras' original images, and
 //! RANSAC finds the homography between them. Algorithm 2 of that chapter stabilises it.
 
-use std::ops::Range;
-
 use super::coarse::{enlarged, map_factor};
 use super::disparity_plane::{DisparityPlane, Sample};
+use super::grid_cells::{Cells, bounds};
 use super::rectified_view::RectifiedView;
 use crate::Rect;
 use crate::View;
@@ -156,32 +155,6 @@ pub struct RegisterGrid {
     is_narrow: bool,
 }
 
-/// A grid on an area, px.
-struct Cells {
-    area: Rect,
-    rows: usize,
-    columns: usize,
-    /// Spacing of the pixels that are used.
-    step: usize,
-}
-
-impl Cells {
-    fn column(&self, at: usize) -> Range<usize> {
-        let Rect { x, width, .. } = self.area;
-        x + at * width / self.columns..x + (at + 1) * width / self.columns
-    }
-
-    fn row(&self, at: usize) -> Range<usize> {
-        let Rect { y, height, .. } = self.area;
-        y + at * height / self.rows..y + (at + 1) * height / self.rows
-    }
-
-    /// The pixels of a cell that are used, along one axis.
-    fn sampled(&self, range: Range<usize>) -> impl Iterator<Item = usize> + use<> {
-        (range.start + self.step / 2..range.end).step_by(self.step)
-    }
-}
-
 /// Pairs per direction that transfer a plane to images that are not rectified.
 const PLANE_PAIRS: usize = 5;
 /// Maximum distance of a sample from its plane, independent of the homography's threshold.
@@ -192,27 +165,6 @@ const NARROW_PART: usize = 3;
 const MAX_CELL_PIXELS: usize = 300;
 /// Smallest number of columns used per cell.
 const MIN_CELL_STEPS: usize = 2;
-/// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
-const BEYOND_PER_MILLE: u64 = 10;
-
-/// Position of the entry at which the sum first exceeds `few`.
-fn beyond<'a>(mut counts: impl Iterator<Item = &'a u32>, few: u32) -> Option<usize> {
-    let mut sum = 0;
-    counts.position(|count| {
-        sum += count;
-        sum > few
-    })
-}
-
-/// First entry and length of the part of `counts` that holds all of `total` but a few at each end.
-fn bounds(counts: &[u32], total: u32, step: usize) -> (usize, usize) {
-    let few = (u64::from(total) * BEYOND_PER_MILLE / 1000) as u32;
-    let (Some(first), Some(last)) = (beyond(counts.iter(), few), beyond(counts.iter().rev(), few)) else {
-        return (0, 0);
-    };
-    let (start, end) = (first.saturating_sub(step / 2), (counts.len() - last + step / 2).min(counts.len()));
-    (start, end.saturating_sub(start))
-}
 
 impl RegisterGrid {
     /// A registration without history.
@@ -478,7 +430,7 @@ impl RegisterGrid {
             CellPoint::Peak => Some((peak.1, peak.0)),
             CellPoint::Median => {
                 let (_, &mut median, _) = self.cell.select_nth_unstable_by(valid / 2, f32::total_cmp);
-                let middle = |range: Range<usize>| (range.start + range.end - 1) as f64 / 2.0;
+                let middle = |range: std::ops::Range<usize>| (range.start + range.end - 1) as f64 / 2.0;
                 Some(([middle(columns), middle(rows)], median))
             }
         }
