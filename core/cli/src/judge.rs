@@ -248,6 +248,7 @@ mod tests {
             over_budget: 0,
             recovery_max_ms: 0.0,
             copies: 0,
+            copied_mb: 0.0,
             conversions: 0,
             allocations: None,
             made,

@@ -22,7 +22,7 @@ pub fn text(graph: &Graph, report: &Report) -> String {
         head.push("skipped".to_owned());
     }
     if copies {
-        head.push("copies".to_owned());
+        head.extend(cells(["copies", "MB copied"]));
     }
     let mut rows = vec![head];
     for &index in &graph.order {
@@ -35,7 +35,7 @@ pub fn text(graph: &Graph, report: &Report) -> String {
             row.push(node.skipped.to_string());
         }
         if copies {
-            row.push(node.copies.to_string());
+            row.extend([node.copies.to_string(), format!("{:.1}", node.copied_mb)]);
         }
         rows.push(row);
     }

@@ -1923,7 +1923,7 @@ class NodeTypes:
         line_px: Width of lines. (0.5 to 20 px; default 2)
         mask_alpha: Opacity of masks. (0 to 1 ratio; default 0.4)
         offset_px: Offset added to all coordinates, x and y in px: the position of the left view's corner in the image. (px; default [])
-        device: Where the image and the bar below it are joined. A GPU does it with an image that was made there, is not enlarged and has nothing drawn on it: the result stays there. All else is drawn by the processor, which does everything without a GPU, with a warning. (default "cpu")"""
+        device: Where the image and the bar below it are joined. A GPU does it with an image that was made there and is not enlarged: the result stays there, and only parts with marks come to the processor, which draws them, and go back. An image with masks or an inset comes whole. Without a GPU the processor does everything, with a warning. (default "cpu")"""
 
     def pass_(
         self,
@@ -2301,7 +2301,7 @@ class NodeTypes:
         surface_step_px: Largest step of disparity between neighbours of one surface. (0.01 to 64 px; default 1)
         min_neighbours: Smallest number of the eight neighbours on the same surface: removes flying pixels; 0 keeps all. (0 to 8; default 5)
         max_hole: Largest hole of a surface that is filled in the cloud, as a share of all pixels; 0 fills none. `depth` has what was measured only. (0 to 0.05 ratio; default 0.0015)
-        device: What computes depth and points, with the same values to the last bits. A GPU pays when its maps and its cloud stay there; the processor reads the depth where it looks for small holes of the cloud. Without a GPU it does it all, with a warning. (default "cpu")"""
+        device: What computes depth and points, with the same values to the last bits. A GPU pays when its maps and its cloud stay there; the processor, which looks for small holes of the cloud, reads which depths are unknown, and those around holes. Without a GPU it does it all, with a warning. (default "cpu")"""
 
     def ros2_bag(
         self,
@@ -2779,6 +2779,7 @@ class NodeTypes:
         box_share: Number = ...,
         line_px: Number = ...,
         text_scale: Number = ...,
+        device: Union[Literal["cpu", "gpu"], Arg] = ...,
         id: str | None = None,
         **options: Unpack[NodeOptions],
     ) -> Trajectory:
@@ -2794,7 +2795,8 @@ class NodeTypes:
         show_box: Also draws the trajectory in a box, in perspective. (default True)
         box_share: Width of the box, as a share of the image's width. (0.1 to 1 ratio; default 0.3)
         line_px: Width of lines in images up to 640 px wide; in wider ones it grows with the image. (0.5 to 20 px; default 2)
-        text_scale: Scale of text: capital letters are six times as many px high. (0.5 to 20; default 1.5)"""
+        text_scale: Scale of text: capital letters are six times as many px high. (0.5 to 20; default 1.5)
+        device: Where it is drawn. A GPU draws on images that were made there: only the parts with lines come to the processor, and go back. Without a GPU the processor does it, with a warning. (default "cpu")"""
 
     def transpose(
         self,

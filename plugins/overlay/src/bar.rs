@@ -34,7 +34,7 @@ pub struct Key {
 }
 
 /// A plate: byte range of its text, and its key.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Entry {
     start: usize,
     end: usize,
@@ -42,7 +42,7 @@ struct Entry {
 }
 
 /// The plates of one image. The memory is reused from image to image.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Bar {
     title: String,
     words: String,
@@ -62,13 +62,13 @@ pub fn filling(lines: usize, scale: f32, wanted_px: f32) -> (usize, f32) {
     (all, scale.max(scale * growth * units(lines) / units(all)))
 }
 
-/// Draws the dots of a key to the right of `(x, y)`, the centre of the first one.
-pub fn dots(out: &mut ViewMut<'_, u8>, (x, y): (f32, f32), key: Key, scale: f32) {
+/// Calls `disc` with middle, radius, colour and opacity of the dots of a key, to the right of `(x, y)`, the centre of the first one.
+pub fn dots(mut disc: impl FnMut((f32, f32), f32, Color, f32), (x, y): (f32, f32), key: Key, scale: f32) {
     for k in 0..key.dots.min(MAX_DOTS) {
         let x = x + k as f32 * DOT_STEP * scale;
         // A dark rim, for bright tissue.
-        draw::fill_circle(out, x, y, 2.0 * scale, [0; 3], 0.8);
-        draw::fill_circle(out, x, y, 1.4 * scale, key.color, 1.0);
+        disc((x, y), 2.0 * scale, [0; 3], 0.8);
+        disc((x, y), 1.4 * scale, key.color, 1.0);
     }
 }
 
@@ -225,7 +225,8 @@ impl Pen {
         let Some(out) = out else { return };
         draw::fill_rectangle(out, x as i32, y as i32, width as i32, (PLATE * s) as i32, PLATE_COLOR, 1.0);
         if let Some(key) = key {
-            dots(out, (x + (ROOM + 1.5) * s, y + PLATE * s / 2.0), key, s);
+            let disc = |(x, y): (f32, f32), radius, color, alpha| draw::fill_circle(out, x, y, radius, color, alpha);
+            dots(disc, (x + (ROOM + 1.5) * s, y + PLATE * s / 2.0), key, s);
         }
         draw::text(out, x + ROOM * s + self.key_px(key), y + 2.5 * s, words, s, INK);
     }

@@ -14,6 +14,7 @@ pub mod nearness;
 pub mod overlay;
 pub mod quantity;
 pub mod screen;
+pub mod shapes;
 pub mod side_by_side;
 pub mod trajectory;
 pub mod turntable;

@@ -1,4 +1,4 @@
-//! Draws each kind of packet on an image.
+//! The marks of each kind of packet on an image.
 
 use std::fmt::Write;
 
@@ -7,6 +7,7 @@ use panoscope_node::abi::{self, Homography, Roi, Tip};
 use panoscope_node::{Choice, Detections, Instances, ViewMut};
 
 use crate::bar::{self, Bar, Key, MAX_DOTS};
+use crate::shapes::Shapes;
 
 /// Where text is written.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,17 +79,17 @@ impl Pen {
     }
 
     /// Writes a text with its upper left corner at `at`.
-    fn write(&self, out: &mut ViewMut<'_, u8>, at: (f32, f32), words: &str, color: Color) {
-        draw::text(out, at.0 + self.margin_px(), at.1 + self.margin_px(), words, self.text_scale, color);
+    fn write(&self, shapes: &mut Shapes, at: (f32, f32), words: &str, color: Color) {
+        shapes.text((at.0 + self.margin_px(), at.1 + self.margin_px()), words, self.text_scale, color);
     }
 }
 
-/// Draws the rectangles of detections.
-pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) {
+/// Adds the rectangles of detections.
+pub fn boxes(shapes: &mut Shapes, detections: &Detections<'_>, pen: &Pen) {
     for item in detections.items().iter().filter(|item| item.score >= pen.min_score) {
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         let color = color_of_class(detections, item.class_index);
-        draw::rectangle(out, x, y, item.width_px, item.height_px, pen.line_px, color);
+        shapes.rectangle((x, y), (item.width_px, item.height_px), pen.line_px, color);
     }
 }
 
@@ -106,7 +107,7 @@ pub fn undrawable_label<'f>(detections: &Detections<'f>) -> Option<&'f str> {
 
 /// Writes class, score and track number of each rectangle where `labels` has space; a label without space is skipped.
 pub fn box_labels(
-    out: &mut ViewMut<'_, u8>,
+    shapes: &mut Shapes,
     detections: &Detections<'_>,
     pen: &Pen,
     words: &mut String,
@@ -127,15 +128,15 @@ pub fn box_labels(
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         let anchor = Area { x, y, width: item.width_px, height: item.height_px };
         if let Some(at) = labels.place(anchor, pen.text_size(words)) {
-            pen.write(out, at, words, color_of_class(detections, item.class_index));
+            pen.write(shapes, at, words, color_of_class(detections, item.class_index));
         }
     }
 }
 
-/// Draws dots in the upper left corner of each rectangle, and adds a plate with the same dots, class and score to the bar. The order is that of the
+/// Adds dots in the upper left corner of each rectangle, and adds a plate with the same dots, class and score to the bar. The order is that of the
 /// track numbers, so that an instrument keeps its dots and plate while others come and go.
 pub fn box_keys(
-    out: &mut ViewMut<'_, u8>,
+    shapes: &mut Shapes,
     detections: &Detections<'_>,
     pen: &Pen,
     order: &mut Vec<usize>,
@@ -151,7 +152,12 @@ pub fn box_keys(
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         // Inside the picture even where the box begins at its edge.
         let inset = 2.0 * pen.text_scale + pen.line_px;
-        bar::dots(out, (x.max(0.0) + inset, y.max(0.0) + inset), key, pen.text_scale);
+        bar::dots(
+            |at, radius, color, alpha| shapes.disc(at, radius, color, alpha),
+            (x.max(0.0) + inset, y.max(0.0) + inset),
+            key,
+            pen.text_scale,
+        );
         words.clear();
         let label = drawable_label(detections, item.class_index);
         if label.is_empty() {
@@ -214,12 +220,12 @@ pub fn tip_area(tip: &Tip, pen: &Pen) -> Option<Area> {
     Some(Area { x: x - reach, y: y - reach, width: 2.0 * reach, height: 2.0 * reach })
 }
 
-/// Draws a cross, with its position in mm next to it where `labels` has space.
-pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, labels: &mut Labels) {
+/// Adds a cross, with its position in mm next to it where `labels` has space.
+pub fn tip(shapes: &mut Shapes, tip: &Tip, pen: &Pen, words: &mut String, labels: &mut Labels) {
     let Some((x, y)) = tip_px(tip, pen) else { return };
     let color = [60, 220, 255];
-    draw::circle(out, x, y, pen.reach_px() / 1.5, pen.line_px, color);
-    draw::cross(out, x, y, pen.reach_px(), pen.line_px, color);
+    shapes.circle((x, y), pen.reach_px() / 1.5, pen.line_px, color);
+    shapes.cross((x, y), pen.reach_px(), pen.line_px, color);
     // A position without its error is nothing for a plate that people rely on.
     if tip.xyz_valid == 1 && pen.words == Words::Picture {
         words.clear();
@@ -233,19 +239,19 @@ pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, 
             .place_at((anchor.x, anchor.y), pen.text_size(words))
             .or_else(|| labels.place(around, pen.text_size(words)));
         if let Some(at) = place {
-            pen.write(out, at, words, color);
+            pen.write(shapes, at, words, color);
         }
     }
 }
 
-/// Draws a rectangle.
-pub fn roi(out: &mut ViewMut<'_, u8>, roi: &Roi, pen: &Pen) {
+/// Adds a rectangle.
+pub fn roi(shapes: &mut Shapes, roi: &Roi, pen: &Pen) {
     let (x, y) = (roi.x as f32 + pen.offset.0, roi.y as f32 + pen.offset.1);
-    draw::rectangle(out, x, y, roi.width as f32, roi.height as f32, pen.line_px, [255, 200, 0]);
+    shapes.rectangle((x, y), (roi.width as f32, roi.height as f32), pen.line_px, [255, 200, 0]);
 }
 
-/// Draws the outline of the right view of `size` (width, height in px): green when fresh, yellow when held; nothing when lost.
-pub fn registration(out: &mut ViewMut<'_, u8>, value: &Homography, size: (f32, f32), pen: &Pen) {
+/// Adds the outline of the right view of `size` (width, height in px): green when fresh, yellow when held; nothing when lost.
+pub fn registration(shapes: &mut Shapes, value: &Homography, size: (f32, f32), pen: &Pen) {
     let color = match value.state {
         abi::STATE_FRESH => [80, 220, 80],
         abi::STATE_HELD => [0, 210, 255],
@@ -263,7 +269,7 @@ pub fn registration(out: &mut ViewMut<'_, u8>, value: &Homography, size: (f32, f
         let (u, v) = ((h[0] * x + h[1] * y + h[2]) / w, (h[3] * x + h[4] * y + h[5]) / w);
         *corner = (u as f32 + pen.offset.0, v as f32 + pen.offset.1);
     }
-    draw::polygon(out, &corners, pen.line_px, color);
+    shapes.polygon(&corners, pen.line_px, color);
 }
 
 /// State of the registration as text, with its numbers if wanted; empty for a fresh one without numbers.

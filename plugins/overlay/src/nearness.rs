@@ -3,11 +3,12 @@
 use std::fmt::Write;
 
 use panoscope_imaging::draw::{self, Color};
-use panoscope_node::{Table, ViewMut};
+use panoscope_node::Table;
 
-use crate::bar::{Bar, Key};
+use crate::bar::{self, Bar, Key};
 use crate::marks::{Pen, Words};
 use crate::quantity::write_with_error;
+use crate::shapes::Shapes;
 
 const CLEAR: Color = [80, 220, 80];
 const NEAR: Color = [0, 190, 255];
@@ -18,9 +19,9 @@ const UNKNOWN: Color = [170, 170, 170];
 const COLUMNS: [&str; 8] =
     ["u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
 
-/// Draws each tip of the table; nothing if the table lacks these columns. Text goes to the bar where the pen says so, with the error from a column
+/// Adds the marks of each tip of the table; nothing if the table lacks these columns. Text goes to the bar where the pen says so, with the error from a column
 /// `tissue_error_mm`.
-pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut String, bar: &mut Bar) {
+pub fn draw(shapes: &mut Shapes, table: &Table<'_>, pen: &Pen, words: &mut String, bar: &mut Bar) {
     let mut places = [0; COLUMNS.len()];
     for (place, name) in places.iter_mut().zip(COLUMNS) {
         let Some(found) = table.names().position(|n| n == name) else { return };
@@ -45,17 +46,18 @@ pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut
         let radius = 5.0 * pen.line_px + 4.0;
         let to = at(tissue_u, tissue_v);
         if to.0.is_finite() && to.1.is_finite() {
-            draw::line(out, (x, y), to, line_px, color);
-            draw::fill_circle(out, to.0, to.1, 1.5 * line_px, color, 1.0);
+            shapes.line((x, y), to, line_px, color);
+            shapes.disc(to, 1.5 * line_px, color, 1.0);
         }
-        draw::circle(out, x, y, radius, line_px, color);
+        shapes.circle((x, y), radius, line_px, color);
         if tip_state > 0.5 {
-            draw::circle(out, x, y, radius + 2.5 * line_px, 1.6 * pen.line_px, NEAR);
+            shapes.circle((x, y), radius + 2.5 * line_px, 1.6 * pen.line_px, NEAR);
         }
         if pen.words != Words::Picture {
             let key = Key { color, dots: number + 1 };
             if pen.words == Words::Below {
-                crate::bar::dots(out, (x + radius + 3.0 * pen.text_scale, y), key, pen.text_scale);
+                let disc = |at, radius, color, alpha| shapes.disc(at, radius, color, alpha);
+                bar::dots(disc, (x + radius + 3.0 * pen.text_scale, y), key, pen.text_scale);
                 plate(bar, row, [tissue_mm, state, tip_mm, tip_state], error_at, key, words);
             }
             continue;
@@ -66,12 +68,12 @@ pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut
             s if s > 1.5 => write!(words, "contact {tissue_mm:.1} mm"),
             _ => write!(words, "{tissue_mm:.1} mm"),
         };
-        draw::text(out, x + radius + 3.0, y + 3.0, words, pen.text_scale, color);
+        shapes.text((x + radius + 3.0, y + 3.0), words, pen.text_scale, color);
         if tip_state > 0.5 {
             words.clear();
             let _ = write!(words, "tips {tip_mm:.1} mm");
             let below = y + 3.0 + draw::text_size(words, pen.text_scale).1 + 2.0 * pen.text_scale;
-            draw::text(out, x + radius + 3.0, below, words, pen.text_scale, NEAR);
+            shapes.text((x + radius + 3.0, below), words, pen.text_scale, NEAR);
         }
     }
 }

@@ -14,10 +14,11 @@ use panoscope_node::{
 use crate::bar::{self, Bar};
 use crate::colorize::{AutoRange, Colors};
 use crate::fit::{enlargement, fitted_size};
-use crate::gpu::below::{BarText, Below};
+use crate::gpu::below::Below;
 use crate::marks::{self, Pen, Words};
 use crate::nearness;
 use crate::quantity::{error_column, write_with_error};
+use crate::shapes::Shapes;
 
 /// A corner of the image.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -160,8 +161,9 @@ pub struct Settings {
     /// Offset added to all coordinates, x and y in px: the position of the left view's corner in the image.
     #[param(default = [], range = 0..=2, unit = "px", points)]
     pub offset_px: Vec<f64>,
-    /// Where the image and the bar below it are joined. A GPU does it with an image that was made there, is not enlarged and has nothing drawn on it:
-    /// the result stays there. All else is drawn by the processor, which does everything without a GPU, with a warning.
+    /// Where the image and the bar below it are joined. A GPU does it with an image that was made there and is not enlarged: the result stays there, and
+    /// only parts with marks come to the processor, which draws them, and go back. An image with masks or an inset comes whole. Without a GPU the
+    /// processor does everything, with a warning.
     #[param(default = "cpu")]
     pub device: Device,
 }
@@ -210,8 +212,8 @@ pub struct Overlay {
     /// Whether a label that cannot be drawn was reported.
     has_warned: bool,
     on_device: OnDevice<Below>,
-    /// What the bar of an image on the GPU depends on.
-    bar_text: BarText,
+    /// Lines, circles and text.
+    shapes: Shapes,
 }
 
 /// The inputs that the parameters show.
@@ -244,14 +246,20 @@ impl<'f> Layers<'f> {
     /// Whether nothing but text is drawn.
     fn is_empty(&self, params: &Settings) -> bool {
         let is_sure = |item: &Detection| item.score >= params.min_score;
-        !(self.homography.is_some_and(|_| params.show_outline)
+        !(self.has_areas(params)
+            || self.homography.is_some_and(|_| params.show_outline)
             || self.roi.is_some()
             || self.boxes.is_some_and(|b| b.items().iter().any(is_sure))
-            || self.instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
-            || self.mask.is_some()
             || self.tip.is_some()
-            || self.nearness.is_some()
-            || self.map.is_some())
+            || self.nearness.is_some())
+    }
+
+    /// Whether masks or an inset are drawn.
+    fn has_areas(&self, params: &Settings) -> bool {
+        let is_sure = |item: &Detection| item.score >= params.min_score;
+        self.mask.is_some()
+            || self.map.is_some()
+            || self.instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
     }
 }
 
@@ -354,26 +362,30 @@ impl Overlay {
         Ok(())
     }
 
-    /// Joins an image that was made on the GPU and the bar below it there. `false` where the processor has to do it.
+    /// Joins an image that was made on the GPU, with its marks, and the bar below it there. `false` where the processor has to do it.
     fn join_on_device(
         &mut self,
         cx: &Context<'_>,
         image: &Image<'_, Bgr8>,
         slot: &mut Slot<'_, Bgr8>,
+        layers: &Layers<'_>,
         (lines, scale): (usize, f32),
-        params: &Settings,
+        (pen, params): (&Pen, &Settings),
     ) -> Result<bool> {
-        let Self { bar, bar_text: text, words, on_device, .. } = self;
-        text.title.clone_from(&params.label);
-        text.words.clone_from(words);
-        (text.width, text.lines, text.scale) = (image.width(), lines, scale);
+        if self.on_device.get().is_none() {
+            return Ok(false);
+        }
+        let frame = (image.width(), image.height());
+        self.labels.begin(frame.0, frame.1);
+        self.take_tip(layers, pen);
+        self.shapes.clear();
+        self.add_outlines(frame, layers, pen, params);
+        self.add_objects(layers, pen, params);
+        self.bar.add(&self.words, None);
+        let Self { bar, shapes, on_device, .. } = self;
         on_device.attempt(cx, |below| {
-            let out = slot.alloc_on_device(image.width(), image.height() + bar::height_px(lines, scale))?;
-            below.join(image.on_device()?, out, text, |rows| {
-                bar.begin(&text.title);
-                bar.add(&text.words, None);
-                bar.draw(rows, lines, scale);
-            })
+            let out = slot.alloc_on_device(frame.0, frame.1 + bar::height_px(lines, scale))?;
+            below.join(image, shapes, (bar, lines, scale), out)
         })
     }
 
@@ -394,8 +406,8 @@ impl Overlay {
         let (width, height) = (factor * frame.0, factor * frame.1);
         let wanted_px = if params.max_aspect > 0.0 { width as f32 / params.max_aspect - height as f32 } else { 0.0 };
         let (lines, bar_scale) = bar::filling(params.bar_lines, factor as f32 * pen.text_scale, wanted_px);
-        let is_plain = factor == 1 && image.is_from_device() && layers.is_empty(params);
-        if is_plain && self.join_on_device(cx, image, slot, (lines, bar_scale), params)? {
+        let is_there = factor == 1 && image.is_from_device() && !layers.has_areas(params);
+        if is_there && self.join_on_device(cx, image, slot, layers, (lines, bar_scale), (&pen, params))? {
             return Ok(());
         }
         let bar_px = bar::height_px(lines, bar_scale);
@@ -428,42 +440,61 @@ impl Overlay {
 
     /// Draws the layers: areas first, then lines, text last. Starts the bar; `labels` must have been started.
     fn draw_layers(&mut self, picture: &mut ViewMut<'_, u8>, layers: &Layers<'_>, pen: &Pen, params: &Settings) {
-        let frame = (picture.width, picture.height);
-        if let Some(area) = layers.tip.as_ref().and_then(|tip| marks::tip_area(tip, pen)) {
-            self.labels.take(area);
-        }
+        self.take_tip(layers, pen);
         if let Some(mask) = layers.mask {
             draw::blend_mask(picture, &mask.view(), [200, 160, 40], params.mask_alpha);
         }
         if let Some(instances) = &layers.instances {
             marks::masks(picture, instances, pen);
         }
-        if let Some(value) = layers.homography.as_ref().filter(|_| params.show_outline) {
-            marks::registration(picture, value, (frame.0 as f32, frame.1 as f32), pen);
-        }
-        if let Some(roi) = &layers.roi {
-            marks::roi(picture, roi, pen);
-        }
+        self.shapes.clear();
+        self.add_outlines((picture.width, picture.height), layers, pen, params);
         if let Some(map) = &layers.map {
+            self.shapes.draw(picture);
+            self.shapes.clear();
             self.draw_inset(picture, map, params);
         }
+        self.add_objects(layers, pen, params);
+        self.shapes.draw(picture);
+    }
+
+    /// Keeps the place of the tip free of text.
+    fn take_tip(&mut self, layers: &Layers<'_>, pen: &Pen) {
+        if let Some(area) = layers.tip.as_ref().and_then(|tip| marks::tip_area(tip, pen)) {
+            self.labels.take(area);
+        }
+    }
+
+    /// Adds the outline of the right view and the rectangle.
+    fn add_outlines(&mut self, frame: (usize, usize), layers: &Layers<'_>, pen: &Pen, params: &Settings) {
+        if let Some(value) = layers.homography.as_ref().filter(|_| params.show_outline) {
+            marks::registration(&mut self.shapes, value, (frame.0 as f32, frame.1 as f32), pen);
+        }
+        if let Some(roi) = &layers.roi {
+            marks::roi(&mut self.shapes, roi, pen);
+        }
+    }
+
+    /// Adds boxes, tips and distances with their text. Starts the bar.
+    fn add_objects(&mut self, layers: &Layers<'_>, pen: &Pen, params: &Settings) {
+        let shapes = &mut self.shapes;
         if let Some(boxes) = &layers.boxes {
-            marks::boxes(picture, boxes, pen);
+            marks::boxes(shapes, boxes, pen);
         }
         self.bar.begin(&params.label);
         // The tip's text belongs to a point, so it takes its room before that of the boxes.
         if let Some(tip) = &layers.tip {
-            marks::tip(picture, tip, pen, &mut self.item, &mut self.labels);
+            marks::tip(shapes, tip, pen, &mut self.item, &mut self.labels);
         }
         if let Some(boxes) = &layers.boxes {
             match params.words {
-                Words::Picture => marks::box_labels(picture, boxes, pen, &mut self.item, &mut self.labels),
-                Words::Below => marks::box_keys(picture, boxes, pen, &mut self.shown, &mut self.item, &mut self.bar),
+                Words::Picture => marks::box_labels(shapes, boxes, pen, &mut self.item, &mut self.labels),
+                Words::Below => marks::box_keys(shapes, boxes, pen, &mut self.shown, &mut self.item, &mut self.bar),
                 Words::Nowhere => {}
             }
         }
         if let Some(table) = &layers.nearness {
-            nearness::draw(picture, table, pen, &mut self.item, &mut self.bar);
+            nearness::draw(shapes, table, pen, &mut self.item, &mut self.bar);
         }
     }
 }

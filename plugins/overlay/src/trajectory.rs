@@ -3,12 +3,16 @@
 use std::collections::VecDeque;
 use std::fmt::Write;
 
-use panoscope_imaging::draw::{self, Area, Color};
+use panoscope_imaging::draw::{Area, Color};
 use panoscope_node::abi::{Calibration, Pose, Tip};
+use panoscope_node::device::{Device, Gpu, OnDevice, Steps};
 use panoscope_node::{
-    Bgr8, Context, Detections, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TextPacket, Value, ViewMut,
-    error,
+    Bgr8, Context, Detections, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TextPacket, Value, error,
 };
+
+use crate::gpu::draw::DeviceDrawing;
+use crate::gpu::fit::DeviceFit;
+use crate::shapes::Shapes;
 
 /// Input ports of `trajectory`.
 #[derive(Ports)]
@@ -56,6 +60,10 @@ pub struct Settings {
     /// Scale of text: capital letters are six times as many px high.
     #[param(default = 1.5, range = 0.5..=20.0, step = 0.5)]
     text_scale: f32,
+    /// Where it is drawn. A GPU draws on images that were made there: only the parts with lines come to the processor, and go back. Without a GPU the
+    /// processor does it, with a warning.
+    #[param(default = "cpu")]
+    device: Device,
 }
 
 type Point = [f64; 3];
@@ -67,6 +75,12 @@ pub struct Trajectory {
     words: String,
     /// Corner that contains the box.
     corner: usize,
+    shapes: Shapes,
+    on_device: OnDevice<(DeviceDrawing, DeviceFit)>,
+}
+
+fn open_device(gpu: Gpu) -> Result<(DeviceDrawing, DeviceFit)> {
+    Ok((DeviceDrawing::new(gpu), DeviceFit::new(gpu)?))
 }
 
 /// Corners for the box, best first: whether it is at the right, and at the bottom. Text is in the other corners.
@@ -154,12 +168,51 @@ impl Trajectory {
         }
     }
 
-    /// Draws the trajectory in a box of integer centimetres, in perspective, with its shadow on the floor. Writes its size to `words` (empty if there
+    /// Adds the trajectory and the place at which the arm keeps the tip.
+    fn draw_way(&mut self, input: &In<'_>, frame: &Frame, frame_px: (f32, f32), settings: &Settings) {
+        let Some(calibration) = &input.calibration else { return };
+        let grown = (frame_px.0 / USUAL_WIDTH).max(1.0);
+        let line_px = settings.line_px * grown;
+        let mut shapes = std::mem::take(&mut self.shapes);
+        let projection = &calibration.left_projection;
+        for (a, b, age) in self.steps() {
+            let ends = pixel(projection, frame.inward(a)).zip(pixel(projection, frame.inward(b)));
+            if let Some((a, b)) = ends {
+                shapes.line(a, b, line_px, color(age));
+            }
+        }
+        let x = calibration.baseline_mm / 2.0;
+        let goal = [x, 0.0, (settings.goal_mm * settings.goal_mm - x * x).max(0.0).sqrt()];
+        if settings.goal_mm > 0.0
+            && input.camera_pose.is_some()
+            && let Some(at) = pixel(projection, goal)
+        {
+            shapes.circle(at, 14.0 * grown, line_px, [255, 255, 255]);
+            shapes.cross(at, 6.0 * grown, grown, [255, 255, 255]);
+        }
+        self.shapes = shapes;
+    }
+
+    /// Draws on a copy of an image that was made on the GPU. `false` where the processor has to do it.
+    fn draw_there(&mut self, cx: &Context<'_>, image: &Image<'_, Bgr8>, slot: &mut Slot<'_, Bgr8>) -> Result<bool> {
+        if !image.is_from_device() {
+            return Ok(false);
+        }
+        let shapes = &self.shapes;
+        self.on_device.attempt(cx, |(drawing, fit)| {
+            let out = slot.alloc_on_device(image.width(), image.height())?;
+            let (mut steps, mut jobs) = (Steps::default(), Vec::new());
+            drawing.draw(image, shapes, out, (&mut steps, &mut jobs))?;
+            fit.run(steps, &jobs)
+        })
+    }
+
+    /// Adds the trajectory in a box of integer centimetres, in perspective, with its shadow on the floor. Writes its size to `words` (empty if there
     /// is no box), and into the box if `with_words`.
-    fn draw_box(&mut self, out: &mut ViewMut<'_, u8>, settings: &Settings, with_words: bool) {
+    fn draw_box(&mut self, frame: (f32, f32), settings: &Settings, with_words: bool) {
         self.words.clear();
-        let size = out.width as f32 * settings.box_share;
-        let (left, top) = place_of(self.corner, (out.width as f32, out.height as f32), size);
+        let size = frame.0 * settings.box_share;
+        let (left, top) = place_of(self.corner, frame, size);
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for p in self.positions.iter().flatten() {
             (0..3).for_each(|k| (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k])));
@@ -173,7 +226,8 @@ impl Trajectory {
         if top < 0.0 || left < 0.0 {
             return;
         }
-        draw::fill_rectangle(out, left as i32, top as i32, size as i32, size as i32, [0; 3], 0.55);
+        let mut shapes = std::mem::take(&mut self.shapes);
+        shapes.plate((left as i32, top as i32), size as i32, [0; 3], 0.55);
         let grown = (size / USUAL_BOX_PX).max(1.0);
         // Cabinet view: x to the right, y (down in the picture) down, z away, to the upper right.
         let place = |p: Point| {
@@ -187,19 +241,20 @@ impl Trajectory {
         };
         for bits in 0..8usize {
             for axis in (0..3).filter(|axis| bits >> axis & 1 == 0) {
-                draw::line(out, place(corner(bits)), place(corner(bits | 1 << axis)), grown, [110; 3]);
+                shapes.line(place(corner(bits)), place(corner(bits | 1 << axis)), grown, [110; 3]);
             }
         }
         for (a, b, age) in self.steps() {
             let floor = |p: Point| [p[0], middle[1] + half, p[2]];
-            draw::line(out, place(floor(a)), place(floor(b)), grown, [90; 3]);
-            draw::line(out, place(a), place(b), settings.line_px * 0.75 * grown, color(age));
+            shapes.line(place(floor(a)), place(floor(b)), grown, [90; 3]);
+            shapes.line(place(a), place(b), settings.line_px * 0.75 * grown, color(age));
         }
         let _ = write!(self.words, "box {side_mm:.0} mm");
         if with_words {
             let room = 5.0 * grown;
-            draw::text(out, left + room, top + room, &self.words, settings.text_scale * grown, [220; 3]);
+            shapes.text((left + room, top + room), &self.words, settings.text_scale * grown, [220; 3]);
         }
+        self.shapes = shapes;
     }
 }
 
@@ -210,11 +265,15 @@ impl Node for Trajectory {
     type Out<'f> = Out<'f>;
     type Params = Settings;
 
-    fn open(_: &Open<'_>, settings: &Settings) -> Result<Self> {
-        Ok(Self { positions: VecDeque::with_capacity(settings.length), words: String::with_capacity(64), corner: 0 })
+    fn open(open: &Open<'_>, settings: &Settings) -> Result<Self> {
+        let mut on_device = OnDevice::default();
+        on_device.choose(settings.device, open, open_device);
+        let (positions, words) = (VecDeque::with_capacity(settings.length), String::with_capacity(64));
+        Ok(Self { positions, words, corner: 0, shapes: Shapes::default(), on_device })
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, settings: &Settings) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, settings: &Settings) -> Result<()> {
+        self.on_device.choose(settings.device, cx, open_device);
         let frame = match &input.camera_pose {
             Some(pose) => Frame::of(pose).ok_or_else(|| {
                 error!("the camera pose is not valid: its numbers are not finite, or its quaternion is 0")
@@ -226,27 +285,9 @@ impl Node for Trajectory {
             self.positions.pop_front();
         }
         self.positions.push_back(tip.map(|tip| frame.outward(tip.xyz_mm)));
-        let mut picture = out.image.alloc_copy(&input.image)?;
-        let grown = (picture.width as f32 / USUAL_WIDTH).max(1.0);
-        let line_px = settings.line_px * grown;
-        if let Some(calibration) = &input.calibration {
-            let projection = &calibration.left_projection;
-            for (a, b, age) in self.steps() {
-                let ends = pixel(projection, frame.inward(a)).zip(pixel(projection, frame.inward(b)));
-                if let Some((a, b)) = ends {
-                    draw::line(&mut picture, a, b, line_px, color(age));
-                }
-            }
-            let x = calibration.baseline_mm / 2.0;
-            let goal = [x, 0.0, (settings.goal_mm * settings.goal_mm - x * x).max(0.0).sqrt()];
-            if settings.goal_mm > 0.0
-                && input.camera_pose.is_some()
-                && let Some((u, v)) = pixel(projection, goal)
-            {
-                draw::circle(&mut picture, u, v, 14.0 * grown, line_px, [255, 255, 255]);
-                draw::cross(&mut picture, u, v, 6.0 * grown, grown, [255, 255, 255]);
-            }
-        }
+        let frame_px = (input.image.width() as f32, input.image.height() as f32);
+        self.shapes.clear();
+        self.draw_way(&input, &frame, frame_px, settings);
         self.words.clear();
         let is_elsewhere = out.text.is_read();
         if settings.show_box {
@@ -263,9 +304,11 @@ impl Node for Trajectory {
                 *place = Area { x: item.x_px, y: item.y_px, width: item.width_px, height: item.height_px };
                 count += 1;
             }
-            let frame = (picture.width as f32, picture.height as f32);
-            self.choose_corner(frame, frame.0 * settings.box_share, &taken[..count]);
-            self.draw_box(&mut picture, settings, !is_elsewhere);
+            self.choose_corner(frame_px, frame_px.0 * settings.box_share, &taken[..count]);
+            self.draw_box(frame_px, settings, !is_elsewhere);
+        }
+        if !self.draw_there(cx, &input.image, &mut out.image)? {
+            self.shapes.draw(&mut out.image.alloc_copy(&input.image)?);
         }
         if is_elsewhere {
             out.text.set_text(&self.words)?;
@@ -280,7 +323,8 @@ mod tests {
 
     #[test]
     fn the_box_leaves_what_it_covers_and_stays_where_it_covers_nothing() {
-        let mut drawn = Trajectory { positions: VecDeque::new(), words: String::new(), corner: 0 };
+        let (positions, words, shapes, on_device) = Default::default();
+        let mut drawn = Trajectory { positions, words, corner: 0, shapes, on_device };
         let (frame, size) = ((640.0, 480.0), 192.0);
         let area = |x: f32, y: f32, width: f32, height: f32| Area { x, y, width, height };
         drawn.choose_corner(frame, size, &[area(100.0, 100.0, 200.0, 100.0)]);

@@ -3,8 +3,11 @@
 use std::f32::consts::TAU;
 
 use panoscope_imaging::draw::{DrawnPoint, GradientLimit, Orbit, SurfacePainter, SurfacePoints};
-use panoscope_node::abi::{Calibration, Scalar};
+use panoscope_node::abi::{Calibration, CloudPoint, Scalar};
+use panoscope_node::device::Gpu;
 use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
+
+use crate::gpu::surface::{CloudSampler, Sampled};
 
 /// Input ports of `turntable`.
 #[derive(Ports)]
@@ -63,9 +66,17 @@ pub struct Settings {
 #[derive(Default)]
 pub struct Turntable {
     painter: SurfacePainter,
+    sampler: Option<CloudSampler>,
+    /// Whether the GPU failed: clouds are copied whole from then on.
+    has_failed: bool,
 }
 
 struct Points<'f>(Cloud<'f>);
+
+fn drawn(point: &CloudPoint) -> Option<DrawnPoint> {
+    let mm = [point.x_mm, point.y_mm, point.z_mm];
+    point.is_known().then_some(DrawnPoint { mm, color: point.bgr, is_filled: point.filled != 0 })
+}
 
 impl SurfacePoints for Points<'_> {
     fn size(&self) -> (usize, usize) {
@@ -73,10 +84,31 @@ impl SurfacePoints for Points<'_> {
     }
 
     fn at(&self, column: usize, row: usize) -> Option<DrawnPoint> {
-        let point = &self.0.points()[row * self.0.width() + column];
-        let mm = [point.x_mm, point.y_mm, point.z_mm];
-        point.is_known().then_some(DrawnPoint { mm, color: point.bgr, is_filled: point.filled != 0 })
+        drawn(&self.0.points()[row * self.0.width() + column])
     }
+}
+
+impl SurfacePoints for Sampled<'_> {
+    fn size(&self) -> (usize, usize) {
+        (self.points.width, self.points.height)
+    }
+
+    fn at(&self, column: usize, row: usize) -> Option<DrawnPoint> {
+        drawn(&self.points.row(row)[column])
+    }
+
+    fn near(&self, column: usize, row: usize, _: usize) -> Option<DrawnPoint> {
+        drawn(&self.corners.row(row / self.step)[column / self.step])
+    }
+}
+
+/// What is drawn of a cloud that is on the GPU.
+fn sample<'a, 'f: 'a>(sampler: &'a mut Option<CloudSampler>, cloud: Cloud<'f>, step: usize) -> Result<Sampled<'a>> {
+    let sampler = match sampler {
+        Some(sampler) => sampler,
+        none => none.insert(CloudSampler::new(Gpu::open()?)?),
+    };
+    sampler.sample(cloud, step)
 }
 
 /// Columns of the image per point of the surface, if the step is not given: smaller triangles show no more detail.
@@ -115,7 +147,16 @@ impl Node for Turntable {
             ..Orbit::default()
         };
         let mut picture = out.image.alloc(params.width, params.height)?;
-        if self.painter.paint(&Points(input.cloud), &orbit, &mut picture).is_some() {
+        let Self { painter, sampler, has_failed } = self;
+        let sampled = if *has_failed || !input.cloud.is_from_device() {
+            None
+        } else {
+            let sampled = sample(sampler, input.cloud, orbit.step).ok();
+            *has_failed = sampled.is_none();
+            sampled
+        };
+        let points = sampled.as_ref().map(|sampled| sampled as &dyn SurfacePoints);
+        if painter.paint(points.unwrap_or(&Points(input.cloud)), &orbit, &mut picture).is_some() {
             // What is known and not shown.
             cx.metric("cut_pct", 100.0 * f64::from(self.painter.cut_share()));
         }

@@ -9,14 +9,18 @@ use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 use panoscope_imaging::fit::Fit;
 use panoscope_imaging::{View, ViewMut};
-use panoscope_node::abi::{self, Device, DeviceStep, Roi, Status};
+use panoscope_node::abi::{
+    self, Calibration, Camera, Detection, Device, DeviceStep, Homography, Pose, Roi, Status, Tip,
+};
 use panoscope_node::device::{DeviceImage, Steps};
 use panoscope_node::harness::{Harness, Level, Setup, lend_device};
-use panoscope_node::{Bgr8, Depth, Node};
+use panoscope_node::pick::{Grid, Picker};
+use panoscope_node::{Bgr8, Depth, Mask, Node, Rect};
 use panoscope_overlay::colorize::Colorize;
 use panoscope_overlay::gpu::fit::{DeviceFit, FitJob};
 use panoscope_overlay::overlay::Overlay;
 use panoscope_overlay::screen::Screen;
+use panoscope_overlay::trajectory::Trajectory;
 
 use support::{Held, device, difference, picture, table};
 
@@ -49,7 +53,8 @@ fn images_are_brought_to_the_sizes_of_their_places() {
             // One row more, for the start.
             let place = Held::new(gpu, to.0, to.1 + start.div_ceil(3 * to.0), 3);
             let to_image = DeviceImage { height: to.1, ..place.image };
-            fit.run(Steps::default(), &[FitJob { from: image.image, to: to_image, start }]).expect("placed");
+            fit.run(Steps::default(), &[FitJob { from: image.image, to: to_image, start, from_start: 0 }])
+                .expect("placed");
             let row = DeviceImage::stride_bytes(to.0, 3);
             let mut made = vec![0; start + row * to.1];
             gpu.read(place.image.buffer, &mut made).expect("read");
@@ -60,6 +65,38 @@ fn images_are_brought_to_the_sizes_of_their_places() {
             let (most, _) = difference(&made, &expected);
             assert!(most <= limit, "{from:?} as {to:?}: {most}");
         }
+    }
+}
+
+#[test]
+fn chosen_pixels_are_read() {
+    let Some(gpu) = device() else { return };
+    let mut picker = Picker::new(gpu).expect("a kernel");
+    let (width, height) = (37, 23);
+    // Pixels of bytes, of words, of points; rows with and without padding.
+    for (pixel_bytes, padding) in [(1, 0), (1, 3), (3, 0), (3, 5), (4, 0), (4, 12), (16, 0)] {
+        let stride = width * pixel_bytes + padding;
+        let bytes: Vec<u8> = (0..stride * height).map(|at| (at * 37 % 251) as u8).collect();
+        let image = Held::of(gpu, &bytes, width, height, stride);
+        let grids = [
+            Grid::of_area(Rect::new(5, 3, 9, 4)),
+            Grid::of_steps((width, height), [7, 5]),
+            Grid::default(),
+            Grid { columns: vec![36], rows: vec![0, 1, 22] },
+            Grid::of_area(Rect::whole(width, height)),
+        ];
+        let words = picker.pick(image.image, pixel_bytes, &grids).expect("read").to_vec();
+        let mut rows = words.iter().flat_map(|word| word.to_le_bytes());
+        for grid in &grids {
+            let row_bytes = grid.columns.len() * pixel_bytes;
+            for y in grid.rows.iter().filter(|_| row_bytes > 0) {
+                let row: Vec<u8> = rows.by_ref().take(row_bytes.next_multiple_of(4)).collect();
+                let pixel = |x: &u32| &bytes[*y as usize * stride + *x as usize * pixel_bytes..][..pixel_bytes];
+                let expected: Vec<u8> = grid.columns.iter().flat_map(pixel).copied().collect();
+                assert_eq!(row[..row_bytes], expected, "{pixel_bytes} bytes, {padding} more, row {y}");
+            }
+        }
+        assert_eq!(rows.count(), 0);
     }
 }
 
@@ -140,13 +177,89 @@ fn images_with_a_bar_do_not_depend_on_the_device() {
         let tick = |node: &mut Harness<Overlay>, at: usize| overlay(node, TEXTS[at], at as u32);
         check::<Overlay>(&format!("{BELOW}{params}"), TEXTS.len(), tick);
     }
-    // What is drawn on the image.
-    check::<Overlay>(BELOW, 3, |node, at| {
-        if at == 1 {
-            node.input_value("roi", Roi { x: 20, y: 30, width: 50, height: 40 });
-        }
-        overlay(node, "12 mm", at as u32)
-    });
+    // What is drawn on the image: on the GPU, but for masks.
+    for params in [BELOW, ", words = \"below\", line_px = 9.0, offset_px = [-40, 11]"] {
+        check::<Overlay>(params, 7, marked);
+    }
+}
+
+/// A tick of `overlay` with marks that change: none, a rectangle, boxes at the edges, a tip, an outline, distances, a mask.
+fn marked(node: &mut Harness<Overlay>, at: usize) -> Vec<u8> {
+    if at % 2 == 1 {
+        node.input_value("roi", Roi { x: 20, y: 30, width: 50, height: 40 });
+    }
+    if at >= 2 {
+        let item = |x_px, y_px, track_id| Detection {
+            x_px,
+            y_px,
+            width_px: 90.0,
+            height_px: 60.0,
+            score: 0.9,
+            class_index: track_id as u32 % 2,
+            track_id,
+        };
+        let items = [item(-20.0, 100.0, 1), item(270.0, -9.0, 2), item(100.0 + 10.0 * at as f32, 40.0, 3)];
+        node.input_detections("detections", &items[..(at - 1).min(3)], "hook\ngrasper", (323, 141));
+    }
+    if at >= 3 {
+        let (u_px, v_px) = (160.0, 70.0 + at as f64);
+        let tip = Tip { u_px, v_px, xyz_mm: [1.0, 2.0, 60.0], score: 0.9, class_index: 0, xyz_valid: 1, track_id: 1 };
+        node.input_value("tip", tip);
+    }
+    if at >= 4 {
+        let left_from_right = [0.9, 0.02, 30.0, -0.01, 0.95, 4.0, 0.0, 0.0, 1.0];
+        let state = abi::STATE_FRESH;
+        node.input_value("homography", Homography { left_from_right, state, rms_px: 0.5, inliers: 40 });
+    }
+    if at >= 5 {
+        let columns =
+            ["u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
+        node.input_table("nearness", &columns, &[200.0, 90.0, 220.0, 130.0, 3.5, 1.0, 9.0, 1.0]);
+    }
+    if at == 6 {
+        let mask: Vec<u8> = (0..323 * 141).map(|k| if k % 5 == 0 { 255 } else { 0 }).collect();
+        node.input_image::<Mask>("mask", 323, 141, &mask);
+    }
+    overlay(node, "12 mm", at as u32)
+}
+
+/// A tick of `trajectory`: the tip moves, and is lost at times.
+fn trajectory(node: &mut Harness<Trajectory>, at: usize) -> Vec<u8> {
+    give(node, "image", (1283, 721), at as u32);
+    let (fx, fy, cx, cy) = (1500.0, 1500.0, 640.0, 360.0);
+    let camera = Camera { width: 1283, height: 721, fx, fy, cx, cy, distortion: [0.0; 14] };
+    let (eye, projection) =
+        ([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    let calibration = Calibration {
+        left: camera,
+        right: camera,
+        right_from_left_rotation: eye,
+        right_from_left_mm: [-5.0, 0.0, 0.0],
+        rectified_from_left: eye,
+        rectified_from_right: eye,
+        left_projection: projection,
+        right_projection: projection,
+        baseline_mm: 5.0,
+        rms_px: 0.0,
+        is_rectified: 1,
+        stated_error: 0,
+    };
+    let pose = Pose { a_from_b_wxyz: [1.0, 0.0, 0.0, 0.0], a_from_b_mm: [0.0; 3], a: [0; 16], b: [0; 16] };
+    node.input_value("calibration", calibration).input_value("camera_pose", pose);
+    if at % 5 != 3 {
+        let turn = at as f64 * 0.7;
+        let xyz_mm = [20.0 * turn.sin(), 14.0 * turn.cos(), 60.0 + at as f64];
+        let (u_px, v_px) = (640.0 + 1500.0 * xyz_mm[0] / xyz_mm[2], 360.0 + 1500.0 * xyz_mm[1] / xyz_mm[2]);
+        node.input_value("tip", Tip { u_px, v_px, xyz_mm, score: 0.9, class_index: 0, xyz_valid: 1, track_id: 1 });
+    }
+    rows(node)
+}
+
+#[test]
+fn trajectories_do_not_depend_on_the_device() {
+    for params in ["", ", box_share = 1.0, line_px = 7.0", ", show_box = false, goal_mm = 0.0"] {
+        check::<Trajectory>(params, 9, trajectory);
+    }
 }
 
 /// A tick of `colorize`: depths with unknown ones and ones beyond the range.
@@ -223,6 +336,10 @@ fn the_processor_makes_images_that_the_device_loses() {
     // The harness copies two images to the GPU, the node submits all its work at once.
     check_lost::<Screen>(", width = 641, height = 359", 3, |node| screen(node, 0));
     check_lost::<Overlay>(BELOW, 2, |node| overlay(node, "12 mm", 0));
+    // The parts that are drawn on, besides.
+    check_lost::<Overlay>(BELOW, 3, |node| marked(node, 4));
+    // Without a tip: what is drawn does not depend on the ticks before.
+    check_lost::<Trajectory>("", 3, |node| trajectory(node, 3));
     // The map, the sample, the colours.
     check_lost::<Colorize>(", scale_beside = true", 3, |node| colorize(node, 0.0));
 }

@@ -57,8 +57,8 @@ pub struct ReprojectNodeParams {
     /// Largest hole of a surface that is filled in the cloud, as a share of all pixels; 0 fills none. `depth` has what was measured only.
     #[param(default = 0.0015, range = 0.0..=0.05, step = 0.0005, unit = "ratio")]
     max_hole: f32,
-    /// What computes depth and points, with the same values to the last bits. A GPU pays when its maps and its cloud stay there; the processor reads
-    /// the depth where it looks for small holes of the cloud. Without a GPU it does it all, with a warning.
+    /// What computes depth and points, with the same values to the last bits. A GPU pays when its maps and its cloud stay there; the processor, which
+    /// looks for small holes of the cloud, reads which depths are unknown, and those around holes. Without a GPU it does it all, with a warning.
     #[param(default = "cpu")]
     device: Device,
 }
@@ -103,12 +103,13 @@ impl Reproject {
             if !out.cloud.is_read() {
                 return Ok(());
             }
-            // The processor reads the depth once: for the holes, and for those who read it there.
-            let made = out.depth.retain().filter(|_| params.max_hole > 0.0);
-            let (focal_px, baseline_mm) = (views.left.focal_px as f32, views.baseline_mm as f32);
-            let filled = match &made {
-                Some(depth) => self.holes.find(depth.view(), focal_px, baseline_mm, params.max_hole),
-                None => &[],
+            let optics = (views.left.focal_px as f32, views.baseline_mm as f32);
+            let filled = if params.max_hole > 0.0 {
+                let unknown = gpu.unknown(depth)?;
+                let read = |places: &[usize], depths: &mut Vec<f32>| gpu.pick(depth, places, depths);
+                self.holes.find_elsewhere((width, height), &unknown, optics, params.max_hole, read)?
+            } else {
+                &[]
             };
             cx.metric("filled_share", share(filled.len()));
             let cloud = out.cloud.alloc_cloud_on_device(width, height)?;

@@ -7,10 +7,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use crate::common::{SIZE, bgr, pair, rectified};
 use crate::gpu::support::table;
 use crate::lit::round_pair;
-use panoscope_node::abi::{self, Calibration, CloudPoint, Device, DeviceStep, Status};
+use panoscope_node::abi::{self, Calibration, CloudPoint, Device, DeviceStep, Status, Tip};
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup, lend_device};
 use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8, Mask, View};
-use panoscope_stereo::{DisparityWls, Rectify, Reproject, StereoBm};
+use panoscope_stereo::{DisparityWls, Measure, Rectify, Reproject, StereoBm};
 
 type TestResult = Result<(), HarnessError>;
 
@@ -384,7 +384,8 @@ fn depths_and_points_do_not_depend_on_the_device() -> TestResult {
 fn the_processor_reprojects_what_a_device_fails_to() -> TestResult {
     let _alone = alone();
     let mut expected = Vec::new();
-    for after in [usize::MAX, 0, 1, 2, 3] {
+    // The map, depths, which of them are unknown, those around holes, the view, the cloud.
+    for after in [usize::MAX, 0, 1, 2, 3, 4, 5] {
         let Some(device) = failing(after) else { return Ok(()) };
         lend_device(Some(device));
         let name = if after == usize::MAX { "cpu" } else { "gpu" };
@@ -397,6 +398,61 @@ fn the_processor_reprojects_what_a_device_fails_to() -> TestResult {
         let same = made.iter().flatten().zip(expected.iter().flatten()).all(|(a, b)| a.to_bits() == b.to_bits());
         assert!(same, "after {after}");
         assert_eq!(node.logs().iter().filter(|line| line.level == Level::Warn).count(), 1, "{:?}", node.logs());
+    }
+    Ok(())
+}
+
+#[test]
+fn lengths_on_parts_of_maps_are_those_on_whole_maps() -> TestResult {
+    let _alone = alone();
+    let depth =
+        |i: usize| if i % 41 == 3 { f32::NAN } else { 60.0 + (i % ODD.0) as f32 / 9.0 + (i / ODD.0) as f32 / 7.0 };
+    let depths: Vec<f32> = (0..ODD.0 * ODD.1).map(depth).collect();
+    let trust: Vec<f32> = (0..ODD.0 * ODD.1).map(|i| (i % 7) as f32 / 7.0).collect();
+    let mut cameras = rectified(300.0, 15.0);
+    for camera in [&mut cameras.left, &mut cameras.right] {
+        (camera.width, camera.height) = (ODD.0 as u32, ODD.1 as u32);
+    }
+    let (width, height) = (ODD.0 as f64, ODD.1 as f64);
+    // At corners, inside, overlapping, outside.
+    let points = [0.0, 0.0, width - 1.0, height - 1.0, 60.5, 40.25, 63.0, 41.0, width, 3.0, -1.0, 9.0];
+    let toml = format!("params = {{ kind = \"depth\", radius_px = 5, points = {points:?} }}");
+    let mut expected = Vec::new();
+    // Without a failure; a GPU that fails at the first copy, at the first pick, between both maps.
+    for after in [None, Some(usize::MAX), Some(0), Some(1), Some(2), Some(3)] {
+        lend_device(after.and_then(failing));
+        if after.is_some() && table().is_none() {
+            return Ok(());
+        }
+        let mut node = Harness::<Measure>::from_toml(&toml)?;
+        for call in 0..2 {
+            let tip = Tip {
+                u_px: 90.0 + f64::from(call),
+                v_px: 33.0,
+                xyz_mm: [0.0; 3],
+                score: 1.0,
+                class_index: 0,
+                xyz_valid: 0,
+                track_id: 0,
+            };
+            if after.is_some() {
+                node.input_image_from_device::<Depth>("depth", ODD.0, ODD.1, &depths);
+                node.input_image_from_device::<Confidence>("confidence", ODD.0, ODD.1, &trust);
+            } else {
+                node.input_image::<Depth>("depth", ODD.0, ODD.1, &depths);
+                node.input_image::<Confidence>("confidence", ODD.0, ODD.1, &trust);
+            }
+            let out = node.input_value("calibration", cameras).input_value("tips", tip).process()?;
+            let values: Vec<u64> = out.table("table")?.rows().flatten().map(|value| value.to_bits()).collect();
+            if after.is_none() {
+                let known = values.iter().filter(|value| f64::from_bits(**value).is_finite()).count();
+                assert!(known > 20, "{known} of {}", values.len());
+                expected.push(values);
+            } else {
+                assert_eq!(values, expected[call as usize], "after {after:?}, call {call}");
+            }
+        }
+        assert_eq!(node.copies(), 0);
     }
     Ok(())
 }

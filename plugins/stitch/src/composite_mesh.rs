@@ -3,6 +3,7 @@
 use panoscope_imaging::geometry;
 use panoscope_imaging::stitch::{Mesh, MeshFollower, MeshParams, MeshReport, RectifiedView, warped_corners};
 use panoscope_node::abi::{self, Calibration, Camera, Homography, Roi, Scalar};
+use panoscope_node::pick::{Grid, Parts};
 use panoscope_node::{
     Bgr8, Context, Detections, Disparity, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot,
     TableData, TextPacket, Validation, Value, View, error,
@@ -165,6 +166,7 @@ pub struct CompositeMesh {
     followers: Vec<MeshFollower>,
     /// Disparity merged from several maps.
     joined: Vec<f32>,
+    parts: Parts<f32>,
     rows: Vec<f64>,
 }
 
@@ -282,6 +284,19 @@ impl CompositeMesh {
         Ok(())
     }
 
+    /// What the mesh of a pair reads of a map on the GPU; `None` where all of it is to be read.
+    fn pixels(
+        &mut self,
+        map: &Image<'_, Disparity>,
+        scene: &Scene<'_>,
+        calibration: Option<&Calibration>,
+    ) -> Option<Grid> {
+        let sizes = [0, 1].map(|view| scene.size(view));
+        let [left, right] = map.is_from_device().then(|| cameras(&mut self.views, calibration, sizes).ok())??;
+        let [columns, rows] = self.followers[0].pixels((map.width(), map.height()), &left, &right);
+        Some(Grid { columns, rows })
+    }
+
     /// Updates all meshes for this tick.
     fn follow_all(
         &mut self,
@@ -291,15 +306,10 @@ impl CompositeMesh {
         params: &CompositeMeshParams,
     ) -> Result<Option<MeshReport>> {
         let size = scene.size(0);
-        let mut joined = std::mem::take(&mut self.joined);
-        let disparity = match (&input.views, &input.disparities) {
-            (None, _) => input.disparity.as_ref().map(Image::view),
-            (_, Some(maps)) => {
-                join(&mut joined, maps, size)?;
-                Some(View::new(&joined, size.0, size.1, 1))
-            }
-            (_, None) => None,
-        };
+        let (mut joined, mut parts) = (std::mem::take(&mut self.joined), std::mem::take(&mut self.parts));
+        if let (Some(_), Some(maps)) = (&input.views, &input.disparities) {
+            join(&mut joined, maps, size)?;
+        }
         while self.followers.len() + 1 < scene.count {
             self.followers.push(MeshFollower::default());
         }
@@ -311,7 +321,16 @@ impl CompositeMesh {
             if view == 1 {
                 self.hint(input, params.min_score, size)?;
             }
-            if let Some(report) = self.follow(cx, (scene, view), disparity, input.calibration.as_deref())? {
+            let calibration = input.calibration.as_deref();
+            let disparity = match (&input.views, &input.disparity) {
+                (None, Some(map)) => Some(match self.pixels(map, scene, calibration) {
+                    Some(read) => parts.view(*map, &[read]),
+                    None => map.view(),
+                }),
+                (None, None) => None,
+                (Some(_), _) => input.disparities.as_ref().map(|_| View::new(&joined, size.0, size.1, 1)),
+            };
+            if let Some(report) = self.follow(cx, (scene, view), disparity, calibration)? {
                 all = Some(all.map_or(report, |others| worst(others, report)));
             }
             self.drawer.kernel.set_mesh(view, self.followers[view - 1].mesh());
@@ -320,7 +339,7 @@ impl CompositeMesh {
         self.drawer
             .kernel
             .set_mesh(0, self.followers.first().filter(|_| is_pair).and_then(MeshFollower::reference_mesh));
-        self.joined = joined;
+        (self.joined, self.parts) = (joined, parts);
         Ok(all)
     }
 
@@ -375,6 +394,7 @@ impl Node for CompositeMesh {
             blind: BlindWatch::default(),
             followers: Vec::new(),
             joined: Vec::new(),
+            parts: Parts::default(),
             rows: Vec::new(),
         })
     }

@@ -4,6 +4,7 @@ use panoscope_imaging::features::RegisterSurf;
 use panoscope_imaging::geometry::RansacParams;
 use panoscope_imaging::stitch::{CellPoint, GridParams, RegisterGrid};
 use panoscope_node::abi::Calibration;
+use panoscope_node::pick::{Grid, Parts};
 use panoscope_node::{
     Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Picture, Ports, Result, Validation, Value,
 };
@@ -90,6 +91,7 @@ pub struct In<'f> {
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
     views: CalibratedViews,
+    parts: Parts<f32>,
     /// Registration by features, for ticks without a disparity.
     features: Option<RegisterSurf>,
     reporter: Reporter,
@@ -150,6 +152,7 @@ impl Node for RegisterGridNode {
         Ok(Self {
             kernel: RegisterGrid::new(params.kernel()),
             views: CalibratedViews::default(),
+            parts: Parts::default(),
             features: None,
             reporter: Reporter::default(),
         })
@@ -175,7 +178,13 @@ impl Node for RegisterGridNode {
         let picture = input.left.as_ref().map_or(size, |left| (left.width(), left.height()));
         let [left, right] = self.views.of(input.calibration.as_deref(), [picture; 2])?;
         check_map(size, left.size)?;
-        let found = self.kernel.register(disparity.view(), &left, &right);
+        // Of a map on the GPU only what is read.
+        let read = if disparity.is_from_device() { self.kernel.pixels(size, &left, &right) } else { None };
+        let map = match read {
+            Some([columns, rows]) => self.parts.view(*disparity, &[Grid { columns, rows }]),
+            None => disparity.view(),
+        };
+        let found = self.kernel.register(map, &left, &right);
         cx.metric("grid_points", found.points as f64);
         let found = Registered {
             left_from_right: &found.left_from_right,

@@ -35,6 +35,7 @@ pub mod tip_position;
 pub mod tip_track;
 pub mod tool_tip;
 pub mod track;
+pub mod views;
 pub mod yolo;
 
 use panoscope_node::export_plugin;

@@ -4,7 +4,7 @@
 //! views are first classified into instrument and tissue, by the colours learned from its silhouette, and these maps are compared: the outline of an
 //! end is visible in both views even on smooth steel.
 
-use panoscope_node::View;
+use panoscope_node::{Rect, View};
 
 use crate::shaft::End;
 use crate::silhouette::Silhouette;
@@ -56,27 +56,8 @@ struct Window {
 }
 
 impl Window {
-    /// Number of columns and rows, cells.
-    fn size(&self) -> (usize, usize) {
-        ((self.x.1 - self.x.0) / self.pitch, (self.y.1 - self.y.0) / self.pitch)
-    }
-}
-
-impl SecondView {
-    /// Disparity of an end of the instrument that `silhouette` segmented last, px; disparities from `range` are tried. `None` if colours were not
-    /// learned, the end is not visible in the other view, or no position fits clearly better than all others. Both views are rectified and of one
-    /// size, blue, green, red.
-    ///
-    /// Large views are first compared in cells, as many as a view of 640 columns has pixels, and then at full size near the best position. Cost
-    /// O(cells of the window x cells of the range).
-    pub fn disparity(
-        &mut self,
-        end: &End,
-        silhouette: &Silhouette,
-        views: [&View<'_, u8>; 2],
-        range: (f64, f64),
-    ) -> Option<f64> {
-        let (width, height) = (views[0].width, views[0].height);
+    /// The window of an end in views of `size`, see [`SecondView::disparity`].
+    fn of(end: &End, (width, height): (usize, usize), range: (f64, f64)) -> Option<Self> {
         let scale = (width as f64 / COLUMNS).max(0.25);
         let (half_x, half_y) = (HALF_WIDTH * scale, HALF_HEIGHT * scale);
         let (u, v) = (end.u_px - end.direction[0] * INSIDE * half_x, end.v_px - end.direction[1] * INSIDE * half_y);
@@ -91,11 +72,48 @@ impl SecondView {
         // The window must be completely in the other view.
         let (first, last) = (range.0.max(0.0).ceil() as usize, (range.1.max(0.0) as usize).min(x.0));
         let pitch = (scale.round() as usize).max(1);
-        let window = Window { x, y, disparities: (first, last), pitch };
+        let window = Self { x, y, disparities: (first, last), pitch };
         let (columns, rows) = window.size();
         if columns < MIN_SIDE || rows < MIN_SIDE || first + 2 * BESIDE_PX * pitch >= last {
             return None;
         }
+        Some(window)
+    }
+
+    /// The pixels of the left and the right view that are read.
+    fn areas(&self) -> [Rect; 2] {
+        let (width, height, (first, last)) = (self.x.1 - self.x.0, self.y.1 - self.y.0, self.disparities);
+        let area = |x: usize, width: usize| Rect::new(x, self.y.0, width, height);
+        [area(self.x.0, width), area(self.x.0 - last, width + last - first)]
+    }
+
+    /// Number of columns and rows, cells.
+    fn size(&self) -> (usize, usize) {
+        ((self.x.1 - self.x.0) / self.pitch, (self.y.1 - self.y.0) / self.pitch)
+    }
+}
+
+impl SecondView {
+    /// The parts of the left and the right view of `size` that [`Self::disparity`] reads; `None` where it reads none.
+    pub fn areas(end: &End, size: (usize, usize), range: (f64, f64)) -> Option<[Rect; 2]> {
+        Window::of(end, size, range).map(|window| window.areas())
+    }
+
+    /// Disparity of an end of the instrument that `silhouette` segmented last, px; disparities from `range` are tried. `None` if colours were not
+    /// learned, the end is not visible in the other view, or no position fits clearly better than all others. Both views are rectified and of one
+    /// size, blue, green, red.
+    ///
+    /// Large views are first compared in cells, as many as a view of 640 columns has pixels, and then at full size near the best position. Cost
+    /// O(cells of the window x cells of the range).
+    pub fn disparity(
+        &mut self,
+        end: &End,
+        silhouette: &Silhouette,
+        views: [&View<'_, u8>; 2],
+        range: (f64, f64),
+    ) -> Option<f64> {
+        let window = Window::of(end, (views[0].width, views[0].height), range)?;
+        let Window { disparities: (first, last), pitch, .. } = window;
         self.compare(silhouette, views, &window)?;
         let (best, most) = self.best()?;
         let others = self.fit.iter().enumerate().filter(|(at, _)| at.abs_diff(best) > BESIDE_PX);

@@ -5,6 +5,8 @@
 //! instrument and of this tissue, as in GrabCut (Rother, Kolmogorov, Blake 2004) with histograms instead of mixtures and without a cut; the largest
 //! connected part in the box is the instrument.
 
+use panoscope_node::pick::Grid;
+
 mod beyond;
 mod cells;
 mod plane;
@@ -101,6 +103,11 @@ fn log_ratios(own: &[f32; COLOURS], other: &[f32; COLOURS], most: f32) -> [f32; 
 }
 
 impl Silhouette {
+    /// The pixels of an image of `size` that [`Silhouette::cut`] reads for a box; none where it reads none.
+    pub fn pixels(corners: [f32; 4], size: (usize, usize)) -> Vec<Grid> {
+        Region::around(corners, size).iter().map(Region::pixels).collect()
+    }
+
     /// Segments the instrument in a box (left, top, right, bottom, px). Returns whether it can be distinguished from its surroundings.
     pub fn cut(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> bool {
         self.bits.clear();

@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use nalgebra::Vector3;
-use panoscope_node::{Instances, View};
+use panoscope_node::pick::Grid;
+use panoscope_node::{Instances, Rect, View};
 
 use crate::hidden_jaw::{HiddenJaw, KnownEnd, Lens, Pixels};
 use crate::second_view::SecondView;
@@ -152,6 +153,33 @@ fn point(lens: &Lens, (u, v): (f64, f64), z: f64) -> [f64; 3] {
     [(u - lens.centre_px[0]) / lens.focal_px[0] * z, (v - lens.centre_px[1]) / lens.focal_px[1] * z, z]
 }
 
+/// Disparities within which an end is searched in the other view, px.
+fn search_px(focal_baseline: f64) -> (f64, f64) {
+    (focal_baseline / REACH_MM.1, focal_baseline / REACH_MM.0)
+}
+
+/// The parts of the left and the right view of `size` in which the ends of a silhouette are compared.
+pub fn compared(ends: &[End], size: (usize, usize), focal_baseline: f64) -> [Vec<Grid>; 2] {
+    let areas = ends.iter().filter_map(|end| SecondView::areas(end, size, search_px(focal_baseline)));
+    areas.map(|areas| areas.map(Grid::of_area)).fold(Default::default(), |[mut left, mut right], areas| {
+        let [a, b] = areas;
+        left.push(a);
+        right.push(b);
+        [left, right]
+    })
+}
+
+/// The parts of a depth map of `size` that are read around ends without masks.
+pub fn around(ends: &[End], size: (usize, usize), radius_px: usize) -> Vec<Grid> {
+    let ends = ends.iter().filter(|end| end.u_px.is_finite() && end.v_px.is_finite());
+    let areas = ends.map(|end| {
+        let middle = Rect::new(end.u_px.max(0.0) as usize, end.v_px.max(0.0) as usize, 1, 1);
+        // Searched from half a radius inside.
+        middle.grown((WIDER + 1) * radius_px + 1, size.0, size.1)
+    });
+    areas.map(Grid::of_area).collect()
+}
+
 impl TipPosition {
     /// Position of a tip with one or two ends. `finder` must have been given the tool's mask last.
     pub fn find(&mut self, scene: &Scene<'_>, tip: &End, ends: &[End], finder: &mut TipFinder) -> Position {
@@ -209,7 +237,7 @@ impl TipPosition {
         let focal_baseline = scene.space.focal_baseline;
         let mut depths: [Option<f64>; 2] = [None; 2];
         if let (Some(silhouette), Some((left, right))) = (scene.cut, scene.views) {
-            let range = (focal_baseline / REACH_MM.1, focal_baseline / REACH_MM.0);
+            let range = search_px(focal_baseline);
             for (depth, end) in depths.iter_mut().zip(ends) {
                 let disparity = second.disparity(end, silhouette, [left, right], range);
                 *depth = disparity.map(|disparity| focal_baseline / disparity);

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use panoscope_node::abi::{Calibration, Detection, Tip};
 use panoscope_node::{
     AnyImage, Bgr8, Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports,
-    Result, Slot, Table, Validation, Value, View, error,
+    Result, Slot, Table, Validation, Value, error,
 };
 
 use panoscope_arm_core::tracking::real_time::RealTime;
@@ -15,7 +15,8 @@ use crate::candidates::iou;
 use crate::keypoints::tip_in_table;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, direction_of_box, tip_of_box};
 use crate::silhouette::{Cues, Nearness, Silhouette};
-use crate::tip_position::{Position, Scene, Space, TipPosition};
+use crate::tip_position::{self, Position, Scene, TipPosition};
+use crate::views::{ViewMemory, Views};
 use crate::yolo::UNKNOWN;
 
 /// Input ports of `tool_tip`.
@@ -95,6 +96,7 @@ pub struct ToolTip {
     /// Capture times, ns, and positions, px, of the last tips.
     observations: VecDeque<(i64, [f64; 2])>,
     time: RealTime,
+    memory: ViewMemory,
 }
 
 /// The last leading tool.
@@ -202,15 +204,18 @@ impl<'f> Tools<'_, 'f> {
         self.found.items()
     }
 
-    /// The pixels of an input, which must have the size of the image; `what` says what to wire.
-    fn view(&self, input: &str, image: Option<AnyImage<'f>>, what: &str) -> Result<Option<View<'f, u8>>> {
-        let view = image.and_then(|image| image.as_plane::<Bgr8>()).map(|image| image.view());
-        match &view {
-            Some(view) if (view.width, view.height) != self.size => Err(error!(
+    /// An input, which must have the size of the image; `what` says what to wire.
+    fn view(&self, input: &str, image: Option<AnyImage<'f>>, what: &str) -> Result<Option<Image<'f, Bgr8>>> {
+        let image = image.and_then(|image| image.as_plane::<Bgr8>());
+        match &image {
+            Some(image) if (image.width(), image.height()) != self.size => Err(error!(
                 "`{input}` is {}x{}, but tools were found in an image of {}x{}: connect {what}",
-                view.width, view.height, self.size.0, self.size.1
+                image.width(),
+                image.height(),
+                self.size.0,
+                self.size.1
             )),
-            _ => Ok(view),
+            _ => Ok(image),
         }
     }
 
@@ -291,7 +296,7 @@ impl ToolTip {
     fn candidate(
         &mut self,
         tools: &Tools<'_, '_>,
-        cues: &Cues<'_>,
+        views: &mut Views<'_, '_>,
         leading: Option<&Leading>,
         has_kept: bool,
         &Now { now_ns, age_ns, params }: &Now<'_>,
@@ -315,13 +320,13 @@ impl ToolTip {
             tried[try_number] = index;
             let corners = moved(corners_of(item), shift);
             let mut tip = tools.mask(index).and_then(|mask| {
-                let is_shown = !mask.touches_border() && self.silhouette.cut(corners, cues);
-                let towards = is_shown.then(|| self.away_from_shaft(cues)).flatten();
+                let is_shown = !mask.touches_border() && self.cut(corners, views);
+                let towards = is_shown.then(|| self.away_from_shaft(views)).flatten();
                 self.finder.of_mask_towards(mask, towards)
             });
             let mut is_cut = false;
             if tip.is_none() {
-                tip = self.cut_tip(corners, cues);
+                tip = self.cut_tip(corners, views);
                 is_cut = tip.is_some();
                 let far_px =
                     params.keypoint_distance * f64::from((corners[2] - corners[0]).hypot(corners[3] - corners[1]));
@@ -347,7 +352,7 @@ impl ToolTip {
     fn missed(
         &mut self,
         tools: &Tools<'_, '_>,
-        cues: &Cues<'_>,
+        views: &mut Views<'_, '_>,
         leading: Option<&Leading>,
         kept: &LastBox,
         now_ns: i64,
@@ -359,7 +364,7 @@ impl ToolTip {
             return None;
         }
         let shift = self.shift(now_ns, now_ns - kept.found_ns);
-        let tip = self.cut_tip(moved(own, shift), cues).filter(|tip| tools.is_inside(&tip.tip))?;
+        let tip = self.cut_tip(moved(own, shift), views).filter(|tip| tools.is_inside(&tip.tip))?;
         Some(Candidate { index: usize::MAX, item: kept.item, tip, is_cut: true })
     }
 
@@ -410,19 +415,93 @@ impl ToolTip {
     }
 
     /// Direction of the instrument that was segmented last, away from the side on which its shaft goes on or leaves the view, if the image shows it.
-    fn away_from_shaft(&self, cues: &Cues<'_>) -> Option<[f64; 2]> {
-        self.silhouette.shaft_direction(cues.picture.as_ref()?).map(|[x, y]| [-x, -y])
+    fn away_from_shaft(&self, views: &Views<'_, '_>) -> Option<[f64; 2]> {
+        // Rare, and far beyond the box: the whole view.
+        self.silhouette.shaft_direction(&views.left?.view()).map(|[x, y]| [-x, -y])
+    }
+
+    /// Segments the instrument in a box, see [`Silhouette::cut`].
+    fn cut(&mut self, corners: [f32; 4], views: &mut Views<'_, '_>) -> bool {
+        let size = views.size;
+        let pixels = if views.are_parts() { Silhouette::pixels(corners, size) } else { Vec::new() };
+        let near = (views.depth_size() == Some(size)).then_some(&pixels[..]);
+        let seen = views.parts([Some(&pixels), None, near]);
+        let nearness = near.map(|_| &seen.space as &dyn Nearness);
+        self.silhouette.cut(corners, &Cues { size, picture: seen.left, nearness })
     }
 
     /// The tip of the instrument in a box, if it can be segmented.
-    fn cut_tip(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<TipPixel> {
-        let is_cut = self.silhouette.cut(corners, cues);
-        let (width, height) = cues.size;
+    fn cut_tip(&mut self, corners: [f32; 4], views: &mut Views<'_, '_>) -> Option<TipPixel> {
+        let is_cut = self.cut(corners, views);
+        let (width, height) = views.size;
         let of_box = || direction_of_box(corners, width, height);
         let towards =
-            (is_cut && self.silhouette.is_by_colour()).then(|| self.away_from_shaft(cues).unwrap_or_else(of_box));
+            (is_cut && self.silhouette.is_by_colour()).then(|| self.away_from_shaft(views).unwrap_or_else(of_box));
         let tip = is_cut.then(|| self.finder.of_mask_towards(self.silhouette.mask(), towards)).flatten();
         tip.map(|tip| self.silhouette.place(tip))
+    }
+
+    /// Finds the tip of the leading tool of a tick.
+    fn follow(
+        &mut self,
+        tools: &Tools<'_, '_>,
+        views: &mut Views<'_, '_>,
+        calibration: Option<&Calibration>,
+        out: &mut Out<'_>,
+        now: &Now<'_>,
+    ) -> Result<()> {
+        let &Now { now_ns, params, .. } = now;
+        let max_ns = params.max_age_ms * 1e6;
+        let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
+        let kept =
+            self.kept.take().filter(|kept| (0.0..=max_ns).contains(&(self.time.real(now_ns - kept.found_ns) as f64)));
+        let best = self.candidate(tools, views, leading.as_ref(), kept.is_some(), now);
+        let best = best.or_else(|| self.missed(tools, views, leading.as_ref(), kept.as_ref()?, now_ns));
+        let Some(best) = best else {
+            self.leading = leading.map(Leading::missed_again);
+            self.kept = kept;
+            return Ok(());
+        };
+        let TipPixel { tip, jaws } = best.tip;
+        let (called, score) = self.remember(tools, &best, leading, kept, now);
+        let class_index = tools.class_of(&best.item);
+        let tip_at = |(u_px, v_px): (f64, f64), xyz_mm: [f64; 3], is_valid: bool| {
+            let (score, xyz_valid) = (f64::from(score), u32::from(is_valid));
+            Tip { u_px, v_px, xyz_mm, score, class_index, xyz_valid, track_id: called }
+        };
+        let mut tip_out = tip_at((tip.u_px, tip.v_px), [f64::NAN; 3], false);
+        if let (Some(calibration), Some(depth_size)) = (calibration, views.depth_size()) {
+            let ends = jaws.as_ref().map_or(std::slice::from_ref(&tip), |jaws| &jaws[..]);
+            let has_views = best.is_cut && views.left.is_some() && views.right.is_some();
+            let read = if views.are_parts() { ends } else { &[] };
+            let compared = has_views.then(|| tip_position::compared(read, tools.size, views.focal_baseline));
+            let near = tip_position::around(read, depth_size, params.radius_px);
+            let [left, right] = [0, 1].map(|view| compared.as_ref().map(|parts| &parts[view][..]));
+            let seen = views.parts([left, right, Some(&near)]);
+            let scene = Scene {
+                space: &seen.space,
+                size: depth_size,
+                projection: &calibration.left_projection,
+                masks: tools.masks.filter(|_| depth_size == tools.size),
+                item: best.index,
+                items: tools.items().len(),
+                cut: best.is_cut.then_some(&self.silhouette),
+                views: seen.left.as_ref().zip(seen.right.as_ref()),
+                radius_px: params.radius_px,
+                tool: called,
+                now_ns,
+            };
+            match self.position.find(&scene, &tip, ends, &mut self.finder) {
+                // The apparent end is where another instrument hides the tool: no tip is better than a wrong one.
+                Position::Hidden => return out.hidden.set(tip_out),
+                Position::At { pixel, xyz_mm, is_valid } => tip_out = tip_at(pixel, xyz_mm, is_valid),
+            }
+        }
+        if self.observations.len() == MAX_OBSERVATIONS {
+            self.observations.pop_front();
+        }
+        self.observations.push_back((now_ns, [tip.u_px, tip.v_px]));
+        out.tip.set(tip_out)
     }
 }
 
@@ -448,6 +527,7 @@ impl Node for ToolTip {
             kept: None,
             observations: VecDeque::with_capacity(MAX_OBSERVATIONS),
             time: RealTime::default(),
+            memory: ViewMemory::default(),
         })
     }
 
@@ -465,59 +545,20 @@ impl Node for ToolTip {
         }
         let keypoints = input.keypoints;
         let tools = Tools { found: &found, masks, keypoints, size: found.image_size(), class: &params.class };
-        let picture = tools.view("image", input.image, "the image that was searched")?;
-        let right = tools.view("right", input.right, "the other view of the same pair")?;
-        let space = Space {
-            depth: input.depth.as_ref().map(|plane| plane.view()),
-            disparity: input.disparity.as_ref().map(|plane| plane.view()),
+        let mut memory = std::mem::take(&mut self.memory);
+        let mut views = Views {
+            size: tools.size,
+            left: tools.view("image", input.image, "the image that was searched")?,
+            right: tools.view("right", input.right, "the other view of the same pair")?,
+            depth: input.depth,
+            disparity: input.disparity,
             focal_baseline: input.calibration.as_ref().map_or(f64::NAN, |c| c.left_projection[0] * c.baseline_mm),
+            is_whole: masks.is_some(),
+            memory: &mut memory,
         };
-        let has_depth = space.size() == Some(tools.size);
-        let cues = Cues { size: tools.size, picture, nearness: has_depth.then_some(&space as &dyn Nearness) };
-        let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
-        let kept =
-            self.kept.take().filter(|kept| (0.0..=max_ns).contains(&(self.time.real(now_ns - kept.found_ns) as f64)));
         let now = Now { now_ns, age_ns, params };
-        let best = self.candidate(&tools, &cues, leading.as_ref(), kept.is_some(), &now);
-        let best = best.or_else(|| self.missed(&tools, &cues, leading.as_ref(), kept.as_ref()?, now_ns));
-        let Some(best) = best else {
-            self.leading = leading.map(Leading::missed_again);
-            self.kept = kept;
-            return Ok(());
-        };
-        let TipPixel { tip, jaws } = best.tip;
-        let (called, score) = self.remember(&tools, &best, leading, kept, &now);
-        let class_index = tools.class_of(&best.item);
-        let tip_at = |(u_px, v_px): (f64, f64), xyz_mm: [f64; 3], is_valid: bool| {
-            let (score, xyz_valid) = (f64::from(score), u32::from(is_valid));
-            Tip { u_px, v_px, xyz_mm, score, class_index, xyz_valid, track_id: called }
-        };
-        let mut tip_out = tip_at((tip.u_px, tip.v_px), [f64::NAN; 3], false);
-        if let (Some(calibration), Some(depth_size)) = (&input.calibration, space.size()) {
-            let scene = Scene {
-                space: &space,
-                size: depth_size,
-                projection: &calibration.left_projection,
-                masks: masks.filter(|_| depth_size == tools.size),
-                item: best.index,
-                items: tools.items().len(),
-                cut: best.is_cut.then_some(&self.silhouette),
-                views: picture.as_ref().zip(right.as_ref()).filter(|_| best.is_cut),
-                radius_px: params.radius_px,
-                tool: called,
-                now_ns,
-            };
-            let ends = jaws.as_ref().map_or(std::slice::from_ref(&tip), |jaws| &jaws[..]);
-            match self.position.find(&scene, &tip, ends, &mut self.finder) {
-                // The apparent end is where another instrument hides the tool: no tip is better than a wrong one.
-                Position::Hidden => return out.hidden.set(tip_out),
-                Position::At { pixel, xyz_mm, is_valid } => tip_out = tip_at(pixel, xyz_mm, is_valid),
-            }
-        }
-        if self.observations.len() == MAX_OBSERVATIONS {
-            self.observations.pop_front();
-        }
-        self.observations.push_back((now_ns, [tip.u_px, tip.v_px]));
-        out.tip.set(tip_out)
+        let done = self.follow(&tools, &mut views, input.calibration.as_deref(), &mut out, &now);
+        self.memory = memory;
+        done
     }
 }

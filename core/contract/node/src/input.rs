@@ -436,6 +436,21 @@ impl<'f> Cloud<'f> {
         self.frame
     }
 
+    /// The frame as the host describes it.
+    pub fn frame(&self) -> &'f abi::Frame {
+        self.frame
+    }
+
+    /// Whether the cloud was made on the GPU, see [`Image::is_from_device`].
+    pub fn is_from_device(&self) -> bool {
+        self.frame.buffer.home == abi::HOME_DEVICE
+    }
+
+    /// The buffer on the GPU with these points, rows without padding: copied there if they are not there yet.
+    pub fn on_device(&self) -> Result<DeviceImage> {
+        DeviceImage::of(self.frame)
+    }
+
     /// The tick of the frame that holds this cloud.
     pub fn tick(&self) -> abi::Tick {
         self.frame.tick

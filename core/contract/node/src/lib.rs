@@ -20,6 +20,7 @@ mod nest;
 pub mod output;
 pub mod packet;
 pub mod param;
+pub mod pick;
 pub mod port;
 pub mod table;
 mod time;

@@ -45,7 +45,7 @@ pub(crate) trait Running {
     fn tick(&self) -> Tick;
 
     /// Counts a copy of a frame that its call made necessary.
-    fn count_copy(&self);
+    fn count_copy(&self, bytes: usize);
 }
 
 /// Work of the calling thread for a node. Copied into threads that help it with a loop.
@@ -77,11 +77,11 @@ pub(crate) fn end_call() {
     CALL.with(|call| call.set(None));
 }
 
-/// Counts a copy of a frame for the node whose `process` the calling thread runs, if there is one.
-pub(crate) fn count_copy() {
+/// Counts a copy of a frame of `bytes` for the node whose `process` the calling thread runs, if there is one.
+pub(crate) fn count_copy(bytes: usize) {
     if let Some(node) = CALL.with(Slot::get) {
         // SAFETY: set by `begin_call` or `help`: the call is under way below on this thread, or on one that waits for this one, and borrows it.
-        unsafe { &*node }.count_copy();
+        unsafe { &*node }.count_copy(bytes);
     }
 }
 

@@ -20,7 +20,6 @@ use crate::outputs;
 use crate::pool;
 use crate::retained;
 use crate::run_context::RunContext;
-use crate::stats::bump;
 use crate::sync::lock;
 
 /// A request of a node that the host refused.
@@ -318,7 +317,7 @@ pub unsafe fn place(call: *mut c_void, output: u32, frame: FrameRef, is_copy: bo
             return abi::STATUS_INVALID;
         }
         made = Frame { buffer: made.buffer, data: made.data, ..current };
-        bump(&call_context.runtime.stats.copies);
+        call_context.runtime.stats.count_copy(current.len);
     } else if !call_context.accepts(output, &made) {
         return call_context.object(output, &made);
     }
@@ -395,7 +394,7 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
         Ok((buffer, data)) => {
             // SAFETY: two live buffers of at least `len` bytes that do not overlap.
             unsafe { std::ptr::copy_nonoverlapping(frame.data, data, frame.len) };
-            bump(&call_context.runtime.stats.copies);
+            call_context.runtime.stats.count_copy(frame.len);
             call_context.written |= output_bit(output);
             call_context.place(output, &Frame { buffer, data, ..frame })
         }

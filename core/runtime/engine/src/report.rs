@@ -79,6 +79,8 @@ pub struct NodeReport {
     pub recovery_max_ms: f64,
     /// Frames copied because the node wrote to a shared one, or between the memories of processor and GPU.
     pub copies: u64,
+    /// Bytes of these frames, in MB (10^6 bytes).
+    pub copied_mb: f64,
     /// Frames converted for its readers.
     pub conversions: u64,
     /// Heap allocations on the calling thread, all calls together; null when not counted.
@@ -203,6 +205,7 @@ impl Report {
                     over_budget: load(&stats.over_budget),
                     recovery_max_ms: ms(stats.recovery.max_ns()),
                     copies: load(&stats.copies),
+                    copied_mb: load(&stats.copied_bytes) as f64 / 1e6,
                     conversions: load(&stats.conversions),
                     allocations: shared.context.thread_allocations.map(|_| load(&stats.allocations)),
                     made: runtime.source.then(|| runtime.ticks.made()),

@@ -164,12 +164,22 @@ pub struct NodeStats {
     pub restarts: AtomicU64,
     /// Frames copied because the node wrote to a shared one, or between the memories of processor and GPU.
     pub copies: AtomicU64,
+    /// Bytes of these frames.
+    pub copied_bytes: AtomicU64,
     /// Frames converted for readers that want another format.
     pub conversions: AtomicU64,
     /// Calls that took longer than the node's budget.
     pub over_budget: AtomicU64,
     /// Heap allocations seen on the calling thread.
     pub allocations: AtomicU64,
+}
+
+impl NodeStats {
+    /// Counts a copy of a frame of `bytes`.
+    pub(crate) fn count_copy(&self, bytes: usize) {
+        bump(&self.copies);
+        self.copied_bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+    }
 }
 
 /// Adds one. Only the thread that runs the node writes.

@@ -3,33 +3,27 @@
 use std::ops::Range;
 
 use panoscope_imaging::ViewMut;
-use panoscope_node::Result;
 use panoscope_node::device::{DeviceImage, Gpu, MARGIN_BYTES, Steps, Store};
+use panoscope_node::{Bgr8, Image, Result};
 
+use super::draw::DeviceDrawing;
 use super::fit::{DeviceFit, FitJob};
+use crate::bar::Bar;
+use crate::shapes::Shapes;
 
-/// What the pixels of a bar without boxes depend on.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct BarText {
-    /// Its title.
-    pub title: String,
-    /// The text of its plates.
-    pub words: String,
-    /// Width, px.
-    pub width: usize,
-    /// Number of lines.
-    pub lines: usize,
-    /// Scale of its text.
-    pub scale: f32,
-}
+/// A bar of text: its plates, number of lines, and scale of the text.
+pub type BarText<'a> = (&'a Bar, usize, f32);
 
 /// Joins images and bars. Keeps the bar on the GPU and writes only those of its rows that have changed.
 #[derive(Debug)]
 pub struct Below {
     gpu: Gpu,
     fit: DeviceFit,
-    text: BarText,
-    /// The bar as it is in `store`.
+    drawing: DeviceDrawing,
+    /// Plates, width, lines and scale of the bar as it is in `store`.
+    bar: Bar,
+    size: (usize, usize, f32),
+    /// Its pixels.
     drawn: Vec<u8>,
     /// Memory for the next one.
     next: Vec<u8>,
@@ -54,37 +48,39 @@ impl Below {
     /// It rejects the kernel.
     pub fn new(gpu: Gpu) -> Result<Self> {
         let fit = DeviceFit::new(gpu)?;
-        let (text, drawn, next, store) = Default::default();
-        Ok(Self { gpu, fit, text, drawn, next, store })
+        let (bar, size, drawn, next, store) = Default::default();
+        Ok(Self { gpu, fit, drawing: DeviceDrawing::new(gpu), bar, size, drawn, next, store })
     }
 
-    /// Copies `image` to the upper rows of `out`, and the bar that `draw` draws to those below. Does not wait for the
-    /// GPU. A bar with the text of the last one is not drawn again.
+    /// Copies `image` with shapes drawn on it to the upper rows of `out`, and a bar to those below. Waits for the GPU only where something is drawn. A
+    /// bar like the last one is not drawn again.
     ///
     /// # Errors
     /// The GPU failed.
     pub fn join(
         &mut self,
-        image: DeviceImage,
+        image: &Image<'_, Bgr8>,
+        shapes: &Shapes,
+        (bar, lines, scale): BarText<'_>,
         out: DeviceImage,
-        text: &BarText,
-        draw: impl FnOnce(&mut ViewMut<'_, u8>),
     ) -> Result<()> {
-        let (stride, height) = (out.stride_bytes, out.height - image.height);
-        let mut rows = 0..0;
-        if self.text != *text || self.drawn.len() != stride * height {
+        let (stride, height) = (out.stride_bytes, out.height - image.height());
+        let (mut rows, size) = (0..0, (out.width, lines, scale));
+        if self.bar != *bar || self.size != size || self.drawn.len() != stride * height {
             self.next.resize(stride * height, 0);
-            draw(&mut ViewMut::with_stride(&mut self.next, out.width, height, 3, stride));
+            bar.draw(&mut ViewMut::with_stride(&mut self.next, out.width, height, 3, stride), lines, scale);
             rows = changed_rows(&self.drawn, &self.next, stride);
             std::mem::swap(&mut self.drawn, &mut self.next);
-            self.text.clone_from(text);
+            self.bar.clone_from(bar);
+            self.size = size;
         }
-        let bar = DeviceImage { buffer: self.store.reserve(self.gpu, stride * height + MARGIN_BYTES)?, height, ..out };
-        let mut steps = Steps::default();
-        steps.write(bar.buffer, rows.start * stride, &self.drawn[rows.start * stride..rows.end * stride]);
-        let upper = FitJob { from: image, to: DeviceImage { height: image.height, ..out }, start: 0 };
-        let lower = FitJob { from: bar, to: DeviceImage { height, ..out }, start: image.height * stride };
-        self.fit.run(steps, &[upper, lower])
+        let from = DeviceImage { buffer: self.store.reserve(self.gpu, stride * height + MARGIN_BYTES)?, height, ..out };
+        let (mut steps, mut jobs) = (Steps::default(), Vec::new());
+        steps.write(from.buffer, rows.start * stride, &self.drawn[rows.start * stride..rows.end * stride]);
+        self.drawing.draw(image, shapes, out, (&mut steps, &mut jobs))?;
+        let start = image.height() * stride;
+        jobs.push(FitJob { from, to: DeviceImage { height, ..out }, start, from_start: 0 });
+        self.fit.run(steps, &jobs)
     }
 }
 

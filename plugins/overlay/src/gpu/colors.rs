@@ -4,6 +4,7 @@ use panoscope_imaging::draw::{self, Colormap};
 use panoscope_imaging::{View, ViewMut};
 use panoscope_node::Result;
 use panoscope_node::device::{DeviceImage, Gpu, Kernel, MARGIN_BYTES, PIXELS, Steps, Store, bytes_of_words};
+use panoscope_node::pick::{Grid, Picker};
 
 /// Size of what a shader reads about a call, bytes.
 const SIZES_BYTES: usize = 32;
@@ -14,10 +15,9 @@ const COLORS: usize = 259;
 #[derive(Debug)]
 pub struct MapPainter {
     gpu: Gpu,
-    pick: Kernel,
+    picker: Picker,
     paint: Kernel,
     sizes: Store,
-    picked: Store,
     colors: Store,
     strip: Store,
     numbers: Vec<f32>,
@@ -41,10 +41,10 @@ impl MapPainter {
     /// # Errors
     /// The GPU rejects one.
     pub fn new(gpu: Gpu) -> Result<Self> {
-        let pick = gpu.kernel("pick", &[include_str!("pick.wgsl")])?;
+        let picker = Picker::new(gpu)?;
         let paint = gpu.kernel("colors", &[include_str!("colors.wgsl"), PIXELS])?;
-        let (sizes, picked, colors, strip) = Default::default();
-        Ok(Self { gpu, pick, paint, sizes, picked, colors, strip, numbers: Vec::new(), held: None, drawn: Vec::new() })
+        let (sizes, colors, strip) = Default::default();
+        Ok(Self { gpu, picker, paint, sizes, colors, strip, numbers: Vec::new(), held: None, drawn: Vec::new() })
     }
 
     /// Reads every n-th number of every n-th row of a map, for two n.
@@ -52,24 +52,13 @@ impl MapPainter {
     /// # Errors
     /// The GPU failed.
     pub fn sample(&mut self, map: DeviceImage, steps: [usize; 2]) -> Result<[View<'_, f32>; 2]> {
-        let sizes = steps.map(|step| (map.width.div_ceil(step), map.height.div_ceil(step)));
-        let [first, second] = sizes.map(|(width, height)| width * height);
-        let picked = self.picked.reserve(self.gpu, 4 * (first + second))?;
-        let buffer = self.sizes.reserve(self.gpu, SIZES_BYTES)?;
-        let words = [0, 1].map(|k| {
-            let words = [sizes[k].0, sizes[k].1, steps[k], map.stride_bytes / 4, k * first];
-            bytes_of_words(&words.map(|word| word as u32))
-        });
-        let mut work = Steps::default();
-        for (size, words) in sizes.iter().zip(&words) {
-            work.write(buffer, 0, words);
-            work.run(&self.pick, &[buffer, map.buffer, picked], [size.0, size.1]);
-        }
-        self.gpu.submit(&work)?;
-        self.numbers.resize(first + second, 0.0);
-        self.gpu.read_plain(picked, &mut self.numbers)?;
-        let (coarse, fine) = self.numbers.split_at(first);
-        Ok([(coarse, sizes[0]), (fine, sizes[1])].map(|(all, (width, height))| View::new(all, width, height, 1)))
+        let grids = steps.map(|step| Grid::of_steps((map.width, map.height), [step; 2]));
+        let words = self.picker.pick(map, size_of::<f32>(), &grids)?;
+        self.numbers.clear();
+        self.numbers.extend(words.iter().map(|word| f32::from_bits(*word)));
+        let [first, second] = grids.map(|grid| (grid.columns.len(), grid.rows.len()));
+        let (coarse, fine) = self.numbers.split_at(first.0 * first.1);
+        Ok([(coarse, first), (fine, second)].map(|(all, (width, height))| View::new(all, width, height, 1)))
     }
 
     /// Paints a map into the left part of `out`, with the colours that `draw::colorize` gives it between `low` and

@@ -16,6 +16,8 @@ pub struct FitJob {
     pub to: DeviceImage,
     /// Byte of its buffer at which the place begins, a multiple of 4.
     pub start: usize,
+    /// Byte of its buffer at which the image begins.
+    pub from_start: usize,
 }
 
 /// Brings images to smaller sizes, or copies them.
@@ -44,8 +46,8 @@ impl DeviceFit {
     /// The GPU failed.
     pub fn run(&mut self, before: Steps<'_>, jobs: &[FitJob]) -> Result<()> {
         let sizes = self.sizes.reserve(self.gpu, SIZES_BYTES)?;
-        let words = jobs.iter().map(|FitJob { from, to, start }| {
-            let row = [from.stride_bytes, to.stride_bytes / 4, start / 4, 0];
+        let words = jobs.iter().map(|FitJob { from, to, start, from_start }| {
+            let row = [from.stride_bytes, to.stride_bytes / 4, start / 4, *from_start];
             let all = [to.width, to.height, from.width, from.height].into_iter().chain(row);
             bytes_of_words(&all.map(|n| n as u32).collect::<Vec<_>>())
         });
@@ -94,7 +96,7 @@ impl SmallImages {
             let stride_bytes = DeviceImage::stride_bytes(width, 3);
             let to = DeviceImage { buffer: 0, width, height, stride_bytes };
             self.numbers.push(number);
-            self.jobs.push(FitJob { from: image.on_device()?, to, start: bytes });
+            self.jobs.push(FitJob { from: image.on_device()?, to, start: bytes, from_start: 0 });
             bytes += stride_bytes * height;
         }
         if bytes == 0 {

@@ -7,11 +7,11 @@ struct Sizes {
     height: u32,
     source_width: u32,
     source_height: u32,
-    // Bytes of a row of the image; words of a row of the result, and its first word.
+    // Bytes of a row of the image; words of a row of the result, and its first word; first byte of the image.
     source_stride: u32,
     stride: u32,
     start: u32,
-    unused: u32,
+    source_start: u32,
 }
 
 @group(0) @binding(0) var<storage, read> sizes: Sizes;
@@ -29,7 +29,7 @@ fn span(at: u32, all: u32, source_all: u32) -> vec2<u32> {
 }
 
 fn pixel(x: u32, y: u32) -> vec3<u32> {
-    return vec3<u32>(left_pixel(two_pixels(y * sizes.source_stride + 3u * x)));
+    return vec3<u32>(left_pixel(two_pixels(sizes.source_start + y * sizes.source_stride + 3u * x)));
 }
 
 fn mean_of_two(a: vec3<u32>, b: vec3<u32>) -> vec3<u32> {

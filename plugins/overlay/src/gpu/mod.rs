@@ -2,4 +2,6 @@
 
 pub mod below;
 pub mod colors;
+pub mod draw;
 pub mod fit;
+pub mod surface;

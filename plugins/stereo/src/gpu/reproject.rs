@@ -3,9 +3,12 @@
 use panoscope_imaging::stereo::{Rectification, ReprojectParams};
 use panoscope_node::Result;
 use panoscope_node::device::{DeviceImage, Gpu, Kernel, Steps, Store, bytes_of_words};
+use panoscope_node::pick::{Grid, Picker};
 
 /// Points of a row of threads of the shader that fills.
 const FILL_ROW: usize = 4096;
+/// Depths that are picked at once.
+const PICKED_AT_ONCE: usize = 1 << 20;
 
 /// Reprojects maps. Keeps its memory on the GPU.
 #[derive(Debug)]
@@ -14,9 +17,12 @@ pub struct GpuReprojector {
     depth: Kernel,
     cloud: Kernel,
     fill: Kernel,
-    calls: [Store; 2],
+    unknown: Kernel,
+    picker: Picker,
+    calls: [Store; 3],
     total: Store,
     filled: Store,
+    bits: Store,
 }
 
 impl GpuReprojector {
@@ -29,8 +35,10 @@ impl GpuReprojector {
         let depth = gpu.kernel("depth", &[include_str!("reproject_depth.wgsl")])?;
         let cloud = gpu.kernel("cloud", &[point, include_str!("reproject_cloud.wgsl")])?;
         let fill = gpu.kernel("cloud fill", &[point, include_str!("reproject_fill.wgsl")])?;
-        let (calls, total, filled) = Default::default();
-        Ok(Self { gpu, depth, cloud, fill, calls, total, filled })
+        let unknown = gpu.kernel("unknown depths", &[include_str!("reproject_unknown.wgsl")])?;
+        let picker = Picker::new(gpu)?;
+        let (calls, total, filled, bits) = Default::default();
+        Ok(Self { gpu, depth, cloud, fill, unknown, picker, calls, total, filled, bits })
     }
 
     /// Writes the depths of a disparity map, mm, NaN where unknown, see [`panoscope_imaging::stereo::reproject()`]. All
@@ -66,6 +74,40 @@ impl GpuReprojector {
         let mut known = [0_u32];
         gpu.read_plain(total, &mut known)?;
         Ok(known[0] as usize)
+    }
+
+    /// Which depths are unknown: a bit for each, from the lowest one on, in whole words for each row.
+    ///
+    /// # Errors
+    /// Errors of the GPU.
+    pub fn unknown(&mut self, depth: DeviceImage) -> Result<Vec<u32>> {
+        let gpu = self.gpu;
+        let words = depth.width.div_ceil(32);
+        let call_words = bytes_of_words(&[depth.width, depth.height, depth.stride_bytes / 4].map(|n| n as u32));
+        let call = self.calls[2].reserve(gpu, call_words.len())?;
+        let bits = self.bits.reserve(gpu, 4 * words * depth.height)?;
+        let mut steps = Steps::default();
+        steps.write(call, 0, &call_words);
+        steps.run(&self.unknown, &[call, depth.buffer, bits], [words, depth.height]);
+        gpu.submit(&steps)?;
+        let mut unknown = vec![0; words * depth.height];
+        gpu.read_plain(bits, &mut unknown)?;
+        Ok(unknown)
+    }
+
+    /// Appends the depths of pixels, by their indices (row x width + column).
+    ///
+    /// # Errors
+    /// Errors of the GPU.
+    pub fn pick(&mut self, depth: DeviceImage, places: &[usize], depths: &mut Vec<f32>) -> Result<()> {
+        // The whole map as one row.
+        let (width, stride) = (depth.width, depth.stride_bytes / 4);
+        let numbers = |places: &[usize]| places.iter().map(|at| (at / width * stride + at % width) as u32).collect();
+        let grids: Vec<Grid> =
+            places.chunks(PICKED_AT_ONCE).map(|places| Grid { columns: numbers(places), rows: vec![0] }).collect();
+        let words = self.picker.pick(depth, size_of::<f32>(), &grids)?;
+        depths.extend(words.iter().map(|word| f32::from_bits(*word)));
+        Ok(())
     }
 
     /// Writes the points of a depth map and the colours of an image of `channels` bytes per pixel, 1 or 3; rows of the

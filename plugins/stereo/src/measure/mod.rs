@@ -4,14 +4,15 @@ mod surface;
 
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
 use panoscope_imaging::stereo::{CalibrationError, Rectification, SurfacePoint};
-use panoscope_node::abi::{Calibration, Scalar, Tip};
+use panoscope_node::abi::{Calibration, CloudPoint, Scalar, Tip};
+use panoscope_node::pick::{Grid, Parts};
 use panoscope_node::{
     Choice, Cloud, Confidence, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result,
-    Slot, TableData, TextPacket, Validation, Value, error,
+    Slot, TableData, TextPacket, Validation, Value, View, error,
 };
 
 use panoscope_data::calibration::packet as calibration;
-use surface::Surface;
+use surface::{Surface, pixels};
 
 /// Kind of measurement.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
@@ -117,6 +118,7 @@ pub struct Measure {
     places: Vec<Option<SurfacePoint>>,
     rows: Vec<f64>,
     leftover: bool,
+    seen: Seen,
 }
 
 impl MeasureParams {
@@ -132,41 +134,43 @@ impl MeasureParams {
     }
 }
 
+/// The surface of a tick, and its confidence: of frames on the GPU only the parts around the points.
+#[derive(Default)]
+struct Seen {
+    cloud: Parts<CloudPoint>,
+    depth: Parts<f32>,
+    confidence: Parts<f32>,
+}
+
+/// The points of a tick: those of the parameter, tips, centres of boxes. A missing tip is an unknown point.
+fn points_of(input: &In<'_>, params: &MeasureParams, given: &mut Vec<[f64; 2]>) {
+    given.clear();
+    given.extend_from_slice(params.points.as_chunks::<2>().0);
+    let tips = input.tips.as_ref();
+    let tips = tips.into_iter().flat_map(|tips| (0..tips.len()).map(move |index| tips.get(index)));
+    given.extend(tips.map(|tip| tip.map_or([f64::NAN; 2], |tip| [tip.u_px, tip.v_px])));
+    let middle = |from: f32, length: f32| f64::from(from) + f64::from(length) / 2.0;
+    let boxes = input.detections.as_ref().map_or(&[][..], Detections::items).iter();
+    given.extend(boxes.map(|found| [middle(found.x_px, found.width_px), middle(found.y_px, found.height_px)]));
+}
+
 impl Measure {
-    /// Collects the points of the tick and where they lie.
-    fn gather(&mut self, input: &In<'_>, surface: &Surface<'_>, params: &MeasureParams) {
-        self.given.clear();
+    /// Finds where the points of the tick lie.
+    fn gather(&mut self, input: &In<'_>, surface: &Surface<'_>, trust: Option<View<'_, f32>>, params: &MeasureParams) {
         self.places.clear();
-        let (given, places, samples) = (&mut self.given, &mut self.places, &mut self.samples);
-        let trust = input.confidence.as_ref().map(Image::view);
-        let mut at = |point: [f64; 2]| surface.at(point, params.radius_px, trust, samples);
-        for point in params.points.as_chunks::<2>().0 {
-            given.push(*point);
-            places.push(at(*point));
-        }
-        let tips = input.tips.as_ref();
-        for tip in tips.into_iter().flat_map(|tips| (0..tips.len()).map(move |index| tips.get(index))) {
-            let Some(tip) = tip else {
-                given.push([f64::NAN; 2]);
-                places.push(None);
-                continue;
-            };
-            given.push([tip.u_px, tip.v_px]);
-            let seen = at([tip.u_px, tip.v_px]);
+        let first_tip = params.points.len() / 2;
+        for (index, point) in self.given.iter().enumerate() {
+            let seen = surface.at(*point, params.radius_px, trust, &mut self.samples);
+            let tip = index.checked_sub(first_tip).and_then(|index| input.tips.as_ref()?.get(index));
             // The tip finder has already separated the tool from what lies behind it.
-            let given = (tip.xyz_valid == 1)
-                .then_some(tip.xyz_mm)
+            let given = tip
+                .filter(|tip| tip.xyz_valid == 1)
+                .map(|tip| tip.xyz_mm)
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
-            places.push(given.map_or(seen, |[x, y, z]| {
+            self.places.push(given.map_or(seen, |[x, y, z]| {
                 let (scatter, confidence) = seen.map_or((0.0, None), |point| (point.scatter, point.confidence));
                 Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter, confidence })
             }));
-        }
-        for found in input.detections.as_ref().map_or(&[][..], Detections::items) {
-            let middle = |from: f32, length: f32| f64::from(from) + f64::from(length) / 2.0;
-            let point = [middle(found.x_px, found.width_px), middle(found.y_px, found.height_px)];
-            given.push(point);
-            places.push(at(point));
         }
     }
 
@@ -249,6 +253,7 @@ impl Node for Measure {
             places: Vec::new(),
             rows: Vec::new(),
             leftover: false,
+            seen: Seen::default(),
         })
     }
 
@@ -260,10 +265,10 @@ impl Node for Measure {
             self.views = Some((**given, calibration::of_rectified_views(given)?));
         }
         let views = self.views.take();
-        let surface = match (&input.cloud, &input.depth, &views) {
+        let size = match (&input.cloud, &input.depth, &views) {
             (Some(_), Some(_), _) => return Err(error!("connect `cloud` or `depth`, not both")),
-            (Some(cloud), None, _) => Surface::Cloud(*cloud),
-            (None, Some(depth), Some((_, views))) => Surface::Depth(depth.view(), views),
+            (Some(cloud), None, _) => (cloud.width(), cloud.height()),
+            (None, Some(depth), Some(_)) => (depth.width(), depth.height()),
             (None, Some(_), None) => {
                 return Err(error!("`depth` alone has no rays: connect `calibration` too, or `cloud`"));
             }
@@ -272,7 +277,6 @@ impl Node for Measure {
                 return Ok(());
             }
         };
-        let size = surface.size();
         if let Some((_, views)) = &views
             && size != (views.width, views.height)
         {
@@ -292,7 +296,23 @@ impl Node for Measure {
                 size.1
             ));
         }
-        self.gather(&input, &surface, params);
+        points_of(&input, params, &mut self.given);
+        let is_there = input.cloud.is_some_and(|cloud| cloud.is_from_device())
+            || input.depth.is_some_and(|depth| depth.is_from_device())
+            || input.confidence.is_some_and(|confidence| confidence.is_from_device());
+        let given = self.given.iter().filter(|_| is_there);
+        let parts: Vec<Grid> = given.flat_map(|point| pixels(size, *point, params.radius_px)).collect();
+        let mut seen = std::mem::take(&mut self.seen);
+        let surface = match (&input.cloud, &input.depth, &views) {
+            (Some(cloud), ..) => Some(Surface::Cloud(seen.cloud.view(*cloud, &parts))),
+            (None, Some(depth), Some((_, views))) => Some(Surface::Depth(seen.depth.view(*depth, &parts), views)),
+            _ => None,
+        };
+        let trust = input.confidence.map(|map| seen.confidence.view(map, &parts));
+        if let Some(surface) = &surface {
+            self.gather(&input, surface, trust, params);
+        }
+        self.seen = seen;
         // NaN counts as no statement.
         let is_drifted = input.drifted.as_ref().is_some_and(|drifted| drifted.value > 0.0);
         if is_drifted {

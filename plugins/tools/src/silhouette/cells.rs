@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use panoscope_node::View;
+use panoscope_node::pick::Grid;
 
 /// Cues that distinguish an instrument from tissue; at least one of both is required.
 #[derive(Clone, Copy)]
@@ -88,6 +89,22 @@ pub(super) struct Cells {
     near_sums: Vec<[f32; 2]>,
 }
 
+impl Region {
+    /// Spacing of the pixels of a cell that are read. Large cells are sampled: the mean of sixteen pixels is sufficient.
+    fn step(&self) -> usize {
+        (self.pitch / SAMPLES).max(1)
+    }
+
+    /// The pixels that are read.
+    pub(super) fn pixels(&self) -> Grid {
+        let along = |from: usize, cells: usize| -> Vec<u32> {
+            let cells = (0..cells).map(|cell| from + cell * self.pitch);
+            cells.flat_map(|from| (from..from + self.pitch).step_by(self.step())).map(|px| px as u32).collect()
+        };
+        Grid { columns: along(self.x_px, self.width), rows: along(self.y_px, self.height) }
+    }
+}
+
 impl Cells {
     /// Reads the cells of a region.
     pub(super) fn sample(&mut self, region: Region, cues: &Cues<'_>) {
@@ -109,11 +126,10 @@ impl Cells {
         self.class.extend(self.redness.iter().zip(&self.bright).map(|(red, bright)| class_of(*red, *bright) as u8));
     }
 
-    /// The pixel rows of a row of cells that are read, and the pixel columns of all of them. Large cells are sampled every `step` pixels: the mean of
-    /// sixteen pixels is sufficient.
+    /// The pixel rows of a row of cells that are read, the pixel columns of all of them, and the step at which those are read.
     fn sampled(&self, row: usize) -> (impl Iterator<Item = usize> + use<>, Range<usize>, usize) {
         let Region { x_px, y_px, pitch, width, .. } = self.region;
-        let step = (pitch / SAMPLES).max(1);
+        let step = self.region.step();
         let top = y_px + row * pitch;
         ((top..top + pitch).step_by(step), x_px..x_px + width * pitch, step)
     }

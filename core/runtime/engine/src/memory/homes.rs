@@ -131,7 +131,7 @@ impl Memory {
             if !device.write(copy.handle, unsafe { bytes(frame) }) {
                 return None;
             }
-            current_node::count_copy();
+            current_node::count_copy(frame.len);
             copy.is_on_device = true;
         }
         Some(copy.handle)
@@ -151,7 +151,7 @@ impl Memory {
         // SAFETY: the buffer has `len` bytes, and its readers wait for this copy.
         let is_read = unsafe { device.read(copy.handle, frame.data, frame.len) };
         copy.is_in_memory = true;
-        current_node::count_copy();
+        current_node::count_copy(frame.len);
         if !is_read {
             blank(frame);
             *lock(&LOST_BECAUSE) = device.failure();

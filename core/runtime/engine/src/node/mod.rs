@@ -28,7 +28,7 @@ use crate::join::Join;
 use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::preview::{HearNumberFn, Subscribers};
-use crate::stats::{NodeStats, bump};
+use crate::stats::NodeStats;
 use crate::sync::lock;
 
 /// A node of a running graph. The fields that every call touches lie in the first cache line.
@@ -299,7 +299,7 @@ impl Running for NodeRuntime {
         self.busy.tick()
     }
 
-    fn count_copy(&self) {
-        bump(&self.stats.copies);
+    fn count_copy(&self, bytes: usize) {
+        self.stats.count_copy(bytes);
     }
 }

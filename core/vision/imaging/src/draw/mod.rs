@@ -21,7 +21,7 @@ pub use labels::{Area, Labels};
 pub use overlay::{ScaleBar, blend_mask, scale_bar};
 pub use rims::{GradientLimit, Rims};
 pub use shapes::{arrow, circle, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle};
-pub use surface::{DrawnPoint, Orbit, Projection, SurfacePainter, SurfacePoints, filled_color};
+pub use surface::{DrawnPoint, Orbit, Projection, SurfacePainter, SurfacePoints, filled_color, middle_steps};
 pub use text::{text, text_size};
 
 /// Blue, green, red.

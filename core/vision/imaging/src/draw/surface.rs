@@ -30,6 +30,11 @@ pub trait SurfacePoints: Sync {
     fn size(&self) -> (usize, usize);
     /// Point at a column and row; `None` where unknown.
     fn at(&self, column: usize, row: usize) -> Option<DrawnPoint>;
+    /// The known point nearest to a column and row, at most `reach` away in each direction, so that a single unknown
+    /// point is not a hole.
+    fn near(&self, column: usize, row: usize, reach: usize) -> Option<DrawnPoint> {
+        nearest(self, (column, row), reach)
+    }
 }
 
 /// The darker colour of a point that was filled in, so that it differs from what was measured.
@@ -140,9 +145,8 @@ pub struct SurfacePainter {
 
 const BACKGROUND: u8 = 18;
 
-/// The known point nearest to a column and row, at most `reach` away in each direction, so that a single unknown point
-/// is not a hole.
-fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> Option<DrawnPoint> {
+/// See [`SurfacePoints::near`].
+fn nearest(points: &(impl SurfacePoints + ?Sized), (x, y): (usize, usize), reach: usize) -> Option<DrawnPoint> {
     if let Some(point) = points.at(x, y) {
         return Some(point);
     }
@@ -159,12 +163,18 @@ fn nearest(points: &dyn SurfacePoints, (x, y): (usize, usize), reach: usize) -> 
     None
 }
 
+/// Steps in columns and rows between the points whose median is the middle, and between those that give the width.
+pub fn middle_steps((width, height): (usize, usize)) -> [[usize; 2]; 2] {
+    [[1 + width / 64, 1 + height / 64], [1 + width / 64, 1 + height / 32]]
+}
+
 /// Median of the known points, sampled.
 fn median(points: &dyn SurfacePoints, axis: usize, sorted: &mut Vec<f32>) -> Option<f32> {
     let (width, height) = points.size();
+    let [[step_x, step_y], _] = middle_steps((width, height));
     sorted.clear();
-    for y in (0..height).step_by(1 + height / 64) {
-        sorted.extend((0..width).step_by(1 + width / 64).filter_map(|x| points.at(x, y)).map(|p| p.mm[axis]));
+    for y in (0..height).step_by(step_y) {
+        sorted.extend((0..width).step_by(step_x).filter_map(|x| points.at(x, y)).map(|p| p.mm[axis]));
     }
     sorted.sort_unstable_by(f32::total_cmp);
     sorted.get(sorted.len() / 2).copied()
@@ -222,7 +232,7 @@ impl SurfacePainter {
         self.corners.resize(w * h, NOWHERE);
         for j in 0..h {
             for i in 0..w {
-                if let Some(DrawnPoint { mm, color, is_filled }) = nearest(points, (i * step, j * step), step / 2) {
+                if let Some(DrawnPoint { mm, color, is_filled }) = points.near(i * step, j * step, step / 2) {
                     let color = if is_filled { filled_color(color) } else { color };
                     self.corners[j * w + i] = Corner { world: mm, color, is_filled, ..NOWHERE };
                 }
@@ -280,9 +290,10 @@ impl SurfacePainter {
 
     fn half_width(&mut self, points: &dyn SurfacePoints, mx: f32) -> f32 {
         let (width, height) = points.size();
+        let [_, [step_x, step_y]] = middle_steps((width, height));
         self.sorted.clear();
-        for y in (0..height).step_by(1 + height / 32) {
-            let known = (0..width).step_by(1 + width / 64).filter_map(|x| points.at(x, y));
+        for y in (0..height).step_by(step_y) {
+            let known = (0..width).step_by(step_x).filter_map(|x| points.at(x, y));
             self.sorted.extend(known.map(|p| (p.mm[0] - mx).abs()));
         }
         self.sorted.sort_unstable_by(f32::total_cmp);

@@ -68,13 +68,25 @@ struct Sample {
     off_px: f32,
 }
 
+/// A hole that is small enough: where its runs and the pixels around it stand in their lists, and by how much it may
+/// exceed the limits.
+#[derive(Clone)]
+struct Hole {
+    pieces: Range<usize>,
+    around: Range<usize>,
+    factor: f32,
+}
+
 /// Fills small holes; keeps its memory.
 #[derive(Default)]
 pub struct SmallHoles {
     runs: Runs<IsOpen>,
     /// Root and index of the runs of small pieces, by root.
     pieces: Vec<(usize, usize)>,
+    holes: Vec<Hole>,
+    /// Indices of the known pixels around the holes, hole after hole, and their depths.
     around: Vec<usize>,
+    depths: Vec<f32>,
     samples: Vec<Sample>,
     filled: Vec<(usize, f32)>,
     was_filled: Vec<bool>,
@@ -84,43 +96,88 @@ impl SmallHoles {
     /// Index (row x width + column) and depth in mm of what can be filled in a map of depths, NaN where unknown. Holes of more than `max_share` of all
     /// pixels stay open. `focal_px` and `baseline_mm` are those of the rectified views.
     pub fn find(&mut self, depth: View<'_, f32>, focal_px: f32, baseline_mm: f32, max_share: f32) -> &[(usize, f32)] {
-        let pixels = depth.width * depth.height;
+        let width = depth.width;
+        self.find_holes((width, depth.height), max_share, |row, add| unknown(depth.row(row), add));
+        self.add_around(width, |x, y| !depth.row(y)[x].is_nan());
+        self.depths.clear();
+        self.depths.extend(self.around.iter().map(|at| depth.row(at / width)[at % width]));
+        self.fill_holes(width, focal_px, baseline_mm);
+        &self.filled
+    }
+
+    /// As [`Self::find`] in a map of `width` x `height` of which only this is here: `unknown` has one bit for each pixel, from the lowest one on, in
+    /// whole words for each row. `read` writes the depths of the pixels of some indices.
+    ///
+    /// # Errors
+    /// Those of `read`.
+    pub fn find_elsewhere<E>(
+        &mut self,
+        (width, height): (usize, usize),
+        unknown: &[u32],
+        (focal_px, baseline_mm): (f32, f32),
+        max_share: f32,
+        read: impl FnOnce(&[usize], &mut Vec<f32>) -> Result<(), E>,
+    ) -> Result<&[(usize, f32)], E> {
+        let words = width.div_ceil(32);
+        let row_of = |row: usize| &unknown[row * words..][..words];
+        self.find_holes((width, height), max_share, |row, add| unknown_bits(row_of(row), width, add));
+        self.add_around(width, |x, y| row_of(y)[x / 32] >> (x % 32) & 1 == 0);
+        self.depths.clear();
+        if !self.around.is_empty() {
+            read(&self.around, &mut self.depths)?;
+        }
+        self.fill_holes(width, focal_px, baseline_mm);
+        Ok(&self.filled)
+    }
+
+    /// Finds the holes that are small enough; `unknown` gives the runs of unknown pixels of a row.
+    fn find_holes(
+        &mut self,
+        (width, height): (usize, usize),
+        max_share: f32,
+        unknown: impl Fn(usize, &mut dyn FnMut(Range<usize>)),
+    ) {
+        let pixels = width * height;
         if self.was_filled.len() != pixels {
             self.was_filled.clear();
             self.was_filled.resize(pixels, false);
             self.filled.clear();
         }
-        let before = std::mem::take(&mut self.filled);
-        before.iter().for_each(|(at, _)| self.was_filled[*at] = true);
-        self.find_pieces(depth, HELD * max_share * pixels as f32);
-        let pieces = std::mem::take(&mut self.pieces);
-        for piece in pieces.chunk_by(|(a, _), (b, _)| a == b) {
+        self.filled.iter().for_each(|(at, _)| self.was_filled[*at] = true);
+        self.find_pieces((width, height), HELD * max_share * pixels as f32, unknown);
+        self.holes.clear();
+        let mut start = 0;
+        for piece in self.pieces.chunk_by(|(a, _), (b, _)| a == b) {
             let area = self.runs.get(piece[0].0).area();
             let held: usize = piece
                 .iter()
                 .map(|(_, index)| {
                     let run = self.runs.get(*index);
-                    self.was_filled[run.row() * depth.width..][run.columns()].iter().filter(|was| **was).count()
+                    self.was_filled[run.row() * width..][run.columns()].iter().filter(|was| **was).count()
                 })
                 .sum();
             let factor = if 2 * held > area { HELD } else { 1.0 };
             if area as f32 <= factor * max_share * pixels as f32 {
-                self.fill(depth, piece, focal_px, focal_px * baseline_mm, factor);
+                self.holes.push(Hole { pieces: start..start + piece.len(), around: 0..0, factor });
             }
+            start += piece.len();
         }
-        self.pieces = pieces;
-        before.iter().for_each(|(at, _)| self.was_filled[*at] = false);
-        &self.filled
+        self.filled.iter().for_each(|(at, _)| self.was_filled[*at] = false);
     }
 
     /// Finds the pieces of unknown pixels of at most `max_area` that do not reach the edge.
-    fn find_pieces(&mut self, depth: View<'_, f32>, max_area: f32) {
+    fn find_pieces(
+        &mut self,
+        (width, height): (usize, usize),
+        max_area: f32,
+        unknown: impl Fn(usize, &mut dyn FnMut(Range<usize>)),
+    ) {
         let runs = &mut self.runs;
         runs.clear();
-        for row in 0..depth.height {
-            let is_rim = row == 0 || row + 1 == depth.height;
-            unknown(depth.row(row), |columns| {
-                let is_open = is_rim || columns.start == 0 || columns.end == depth.width;
+        for row in 0..height {
+            let is_rim = row == 0 || row + 1 == height;
+            unknown(row, &mut |columns| {
+                let is_open = is_rim || columns.start == 0 || columns.end == width;
                 runs.push(row, columns, IsOpen(is_open));
             });
             runs.end_row(|_| true);
@@ -136,36 +193,58 @@ impl SmallHoles {
         self.pieces.sort_unstable();
     }
 
-    /// Fills one hole if one surface is around it. `scale` is disparity by depth, px mm.
-    fn fill(&mut self, depth: View<'_, f32>, piece: &[(usize, usize)], focal_px: f32, scale: f32, factor: f32) {
-        let width = depth.width;
+    /// Lists the known pixels around each hole.
+    fn add_around(&mut self, width: usize, is_known: impl Fn(usize, usize) -> bool) {
         self.around.clear();
-        for (_, run) in piece {
-            let run = self.runs.get(*run);
-            let (row, columns) = (run.row(), run.columns());
-            self.around.extend([row * width + columns.start - 1, row * width + columns.end]);
-            for row in [row - 1, row + 1] {
-                let beside = columns.clone().zip(&depth.row(row)[columns.clone()]);
-                self.around.extend(beside.filter(|(_, z)| !z.is_nan()).map(|(x, _)| row * width + x));
+        for hole in &mut self.holes {
+            let first = self.around.len();
+            for (_, run) in &self.pieces[hole.pieces.clone()] {
+                let run = self.runs.get(*run);
+                let (row, columns) = (run.row(), run.columns());
+                self.around.extend([row * width + columns.start - 1, row * width + columns.end]);
+                for row in [row - 1, row + 1] {
+                    self.around.extend(columns.clone().filter(|x| is_known(*x, row)).map(|x| row * width + x));
+                }
             }
+            let own = &mut self.around[first..];
+            own.sort_unstable();
+            let mut kept = 0;
+            for at in 0..own.len() {
+                if kept == 0 || own[at] != own[kept - 1] {
+                    own[kept] = own[at];
+                    kept += 1;
+                }
+            }
+            self.around.truncate(first + kept);
+            hole.around = first..first + kept;
         }
-        self.around.sort_unstable();
-        self.around.dedup();
+    }
+
+    fn fill_holes(&mut self, width: usize, focal_px: f32, baseline_mm: f32) {
+        self.filled.clear();
+        let holes = std::mem::take(&mut self.holes);
+        holes.iter().for_each(|hole| self.fill(width, hole, focal_px, focal_px * baseline_mm));
+        self.holes = holes;
+    }
+
+    /// Fills one hole if one surface is around it. `scale` is disparity by depth, px mm.
+    fn fill(&mut self, width: usize, hole: &Hole, focal_px: f32, scale: f32) {
         self.samples.clear();
-        self.samples.extend(self.around.iter().map(|at| {
+        let around = self.around[hole.around.clone()].iter().zip(&self.depths[hole.around.clone()]);
+        self.samples.extend(around.map(|(at, z_mm)| {
             let (x, y) = (at % width, at / width);
-            Sample { at: [x as f32, y as f32], disparity_px: scale / depth.row(y)[x], off_px: 0.0 }
+            Sample { at: [x as f32, y as f32], disparity_px: scale / z_mm, off_px: 0.0 }
         }));
         let Some(plane) = Plane::fit(&self.samples) else { return };
         self.samples.iter_mut().for_each(|sample| sample.off_px = sample.disparity_px - plane.at(sample.at));
         let largest = self.samples.iter().map(|sample| sample.off_px.abs()).fold(0.0, f32::max);
         let is_grazing = plane.slope[0].hypot(plane.slope[1]) * focal_px > MAX_SLOPE * plane.value;
-        let is_bent = largest > factor * MAX_DEVIATION_PX * width as f32 / USUAL_WIDTH;
+        let is_bent = largest > hole.factor * MAX_DEVIATION_PX * width as f32 / USUAL_WIDTH;
         if is_grazing || is_bent || !plane.value.is_finite() {
             return;
         }
         let step = self.samples.len().div_ceil(MAX_SAMPLES);
-        for (_, run) in piece {
+        for (_, run) in &self.pieces[hole.pieces.clone()] {
             let run = self.runs.get(*run);
             let row = run.row();
             for x in run.columns() {
@@ -187,7 +266,7 @@ impl SmallHoles {
 }
 
 /// Calls `add` with the columns of each run of unknown pixels in a row.
-fn unknown(row: &[f32], mut add: impl FnMut(Range<usize>)) {
+fn unknown(row: &[f32], add: &mut dyn FnMut(Range<usize>)) {
     let mut open = None;
     for (k, grain) in row.chunks(GRAIN_PX).enumerate() {
         let count = grain.iter().map(|z| usize::from(z.is_nan())).sum::<usize>();
@@ -211,6 +290,30 @@ fn unknown(row: &[f32], mut add: impl FnMut(Range<usize>)) {
     }
 }
 
+/// As [`unknown`] for a row of `width` pixels whose unknown ones are set bits.
+fn unknown_bits(row: &[u32], width: usize, add: &mut dyn FnMut(Range<usize>)) {
+    let mut open = None;
+    for (k, word) in row.iter().enumerate() {
+        let mut at = 0;
+        while at < 32 {
+            // The next bit that ends the run, or begins one.
+            let rest = if open.is_some() { !word } else { *word } >> at;
+            at += rest.trailing_zeros();
+            if at >= 32 {
+                break;
+            }
+            let x = 32 * k + at as usize;
+            match open.take() {
+                Some(from) => add(from..x),
+                None => open = Some(x),
+            }
+        }
+    }
+    if let Some(from) = open {
+        add(from..width);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -225,6 +328,39 @@ mod tests {
         let filled = holes.find(View::new(&map, SIDE, SIDE, 1), FOCAL_PX, BASELINE_MM, SHARE).to_vec();
         assert!(filled.iter().all(|(at, _)| map[*at].is_nan()), "only holes are filled");
         filled
+    }
+
+    #[test]
+    fn a_map_that_is_elsewhere_gets_the_same_fillings() {
+        let (mut here, mut there) = (SmallHoles::default(), SmallHoles::default());
+        for (number, (width, height)) in
+            [(80_usize, 60_usize), (33, 40), (96, 31), (80, 60), (80, 60)].into_iter().enumerate()
+        {
+            let mut next = number as u32;
+            let map: Vec<f32> = (0..width * height)
+                .map(|at| {
+                    next = next.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    let is_hole = next >> 24 < 40 || (at % width).abs_diff(40) < 34 && at / width == 9;
+                    if is_hole { f32::NAN } else { 60.0 + 0.1 * (at % width) as f32 }
+                })
+                .collect();
+            let mut bits = vec![0; width.div_ceil(32) * height];
+            for at in (0..map.len()).filter(|at| map[*at].is_nan()) {
+                bits[at / width * width.div_ceil(32) + at % width / 32] |= 1 << (at % width % 32);
+            }
+            let expected = here.find(View::new(&map, width, height, 1), FOCAL_PX, BASELINE_MM, 0.004);
+            let read = |places: &[usize], depths: &mut Vec<f32>| {
+                depths.extend(places.iter().map(|at| map[*at]));
+                Ok::<_, std::convert::Infallible>(())
+            };
+            let optics = (FOCAL_PX, BASELINE_MM);
+            let Ok(found) = there.find_elsewhere((width, height), &bits, optics, 0.004, read);
+            assert!(expected.len() > 20, "{}", expected.len());
+            assert_eq!(found, expected, "{width}x{height}");
+        }
+        let fails = |_: &[usize], _: &mut Vec<f32>| Err("no");
+        let bits = [0, 0b110, 0, 0];
+        assert_eq!(there.find_elsewhere((20, 4), &bits, (FOCAL_PX, BASELINE_MM), 0.5, fails), Err("no"));
     }
 
     /// A slanted surface with a hole of a width, next to a step of a height in mm that begins at its middle.

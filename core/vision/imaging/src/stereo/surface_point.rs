@@ -7,6 +7,8 @@
 //! looked at too, where it is matched as surely as the point: what it deviates from a plane is the scatter, without what single pixels deviate alone, which
 //! the plane averages out. Relief of the tissue counts, too: the error is stated too large rather than too small there.
 
+use crate::Rect;
+
 /// A surface point: `(ray[0], ray[1], 1) / inverse_depth` in mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
@@ -27,6 +29,18 @@ impl SurfacePoint {
         [self.ray[0] * z, self.ray[1] * z, z]
     }
 
+    /// The pixels of a picture of `size` that [`Self::at`] reads for a point: all in an area, and rows and columns further around; `None` where it reads
+    /// none.
+    pub fn pixels(
+        (width, height): (usize, usize),
+        [u, v]: [f64; 2],
+        radius_px: usize,
+    ) -> Option<(Rect, [Vec<usize>; 2])> {
+        let (x, y) = pixel_of((width, height), [u, v])?;
+        let around = |at: usize, size: usize| spaced(at, radius_px, size).map(|(_, place)| place).collect();
+        Some((Rect::new(x, y, 1, 1).grown(radius_px, width, height), [around(x, width), around(y, height)]))
+    }
+
     /// The surface at column `u`, row `v` of a picture of `size` (columns, rows), from the pixels up to `radius_px` away; `None` where too
     /// few are known. `sample` gives x / z, y / z and 1 / z of a pixel, where known, `trust` its confidence, not finite where unknown. `work` is reused.
     pub fn at(
@@ -38,11 +52,7 @@ impl SurfacePoint {
         trust: impl Fn(usize, usize) -> f32,
     ) -> Option<Self> {
         let (width, height) = size;
-        // NaN fails.
-        if !(u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64) {
-            return None;
-        }
-        let (x, y) = ((u.round() as usize).min(width - 1), (v.round() as usize).min(height - 1));
+        let (x, y) = pixel_of(size, [u, v])?;
         work.clear();
         for y in y.saturating_sub(radius_px)..=(y + radius_px).min(height - 1) {
             for x in x.saturating_sub(radius_px)..=(x + radius_px).min(width - 1) {
@@ -110,6 +120,13 @@ const AS_SURE: f32 = 0.9;
 const LEFT_ALONE: f64 = 0.3;
 /// Fewer samples further around say nothing.
 const MIN_AROUND: usize = 9;
+
+/// The pixel of a point; `None` outside.
+fn pixel_of((width, height): (usize, usize), [u, v]: [f64; 2]) -> Option<(usize, usize)> {
+    // NaN fails.
+    let is_inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
+    is_inside.then(|| ((u.round() as usize).min(width - 1), (v.round() as usize).min(height - 1)))
+}
 
 /// Positions around `at` in steps of `step`, with their distances in px, inside `0..size`.
 fn spaced(at: usize, step: usize, size: usize) -> impl Iterator<Item = (f64, usize)> {
@@ -193,6 +210,32 @@ mod tests {
         let point = middle_of(|_, _| 0.0);
         assert!(point.scatter < 1e-12, "{}", point.scatter);
         assert!((point.inverse_depth - MIDDLE - 1e-3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn pixels_that_are_not_announced_are_not_read() {
+        let read = std::cell::RefCell::new(Vec::new());
+        for at in [[100.0, 80.0], [0.0, 159.4], [199.9, 0.0], [3.0, 90.0], [-1.0, 5.0], [200.0, 5.0], [f64::NAN, 0.0]] {
+            read.borrow_mut().clear();
+            let sample = |x: usize, y: usize| {
+                read.borrow_mut().push((x, y));
+                Some([x as f64 / 700.0, y as f64 / 700.0, MIDDLE + 1e-5 * x as f64])
+            };
+            let trust = |x: usize, y: usize| {
+                read.borrow_mut().push((x, y));
+                0.5
+            };
+            let point = SurfacePoint::at(SIZE, at, 4, &mut Vec::new(), sample, trust);
+            let announced = SurfacePoint::pixels(SIZE, at, 4);
+            assert_eq!(point.is_some(), announced.is_some(), "{at:?}");
+            let Some((area, [columns, rows])) = announced else { continue };
+            let is_announced = |(x, y): &(usize, usize)| {
+                let is_near = (area.x..area.x + area.width).contains(x) && (area.y..area.y + area.height).contains(y);
+                is_near || columns.contains(x) && rows.contains(y)
+            };
+            assert!(read.borrow().iter().all(is_announced), "{at:?}");
+            assert!(area.area() <= 81 && columns.len().max(rows.len()) <= 11);
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@
 
 use super::coarse::{enlarged, map_factor};
 use super::disparity_plane::{DisparityPlane, Sample};
+use super::grid_cells::{Cells, bounds};
 use super::rectified_view::RectifiedView;
 use crate::Rect;
 use crate::View;
@@ -164,27 +165,6 @@ const NARROW_PART: usize = 3;
 const MAX_CELL_PIXELS: usize = 300;
 /// Smallest number of columns used per cell.
 const MIN_CELL_STEPS: usize = 2;
-/// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
-const BEYOND_PER_MILLE: u64 = 10;
-
-/// Position of the entry at which the sum first exceeds `few`.
-fn beyond<'a>(mut counts: impl Iterator<Item = &'a u32>, few: u32) -> Option<usize> {
-    let mut sum = 0;
-    counts.position(|count| {
-        sum += count;
-        sum > few
-    })
-}
-
-/// First entry and length of the part of `counts` that holds all of `total` but a few at each end.
-fn bounds(counts: &[u32], total: u32, step: usize) -> (usize, usize) {
-    let few = (u64::from(total) * BEYOND_PER_MILLE / 1000) as u32;
-    let (Some(first), Some(last)) = (beyond(counts.iter(), few), beyond(counts.iter().rev(), few)) else {
-        return (0, 0);
-    };
-    let (start, end) = (first.saturating_sub(step / 2), (counts.len() - last + step / 2).min(counts.len()));
-    (start, end.saturating_sub(start))
-}
 
 impl RegisterGrid {
     /// A registration without history.
@@ -231,6 +211,17 @@ impl RegisterGrid {
         let [small_left, small_right] = [left, right].map(|view| view.shrunk(factor));
         let found = self.register_map(disparity, &small_left, &small_right);
         found.enlarged(factor, [left.size, right.size])
+    }
+
+    /// Columns and rows, ascending, that the next map is read at, if it is of this size; `None` if all of it may be.
+    pub fn pixels(&self, size: (usize, usize), left: &RectifiedView, right: &RectifiedView) -> Option<[Vec<u32>; 2]> {
+        let factor = map_factor(size, left.size).filter(|factor| *factor == self.factor)?;
+        let right_size = if factor == 1 { right.size } else { right.shrunk(factor).size };
+        let cells = self.cells(self.known_area(size, right_size)?)?;
+        let [x, y] = [cells.columns, cells.rows].map(|count| 0..count);
+        let columns = x.flat_map(|at| cells.sampled(cells.column(at))).map(|x| x as u32).collect();
+        let rows = y.flat_map(|at| cells.sampled(cells.row(at))).map(|y| y as u32).collect();
+        Some([columns, rows])
     }
 
     /// Registers by a map as large as the images.
@@ -353,40 +344,49 @@ impl RegisterGrid {
         Rect::new(x, y, columns, rows)
     }
 
+    /// The overlap of the last map, in maps of `size`, if that map was registered.
+    fn known_area(&self, (width, height): (usize, usize), right: (usize, usize)) -> Option<Rect> {
+        // Rectified views differ from the pictures by little, so that the pictures' overlap places the grid.
+        let map = self.memory.filter(|_| self.failures == 0)?;
+        Some(overlap_roi(&map, right.0, right.1, width, height))
+    }
+
+    /// The grid on an area; `None` if it is too small.
+    fn cells(&self, area: Rect) -> Option<Cells> {
+        let step = self.scaled.step_px.max(1);
+        let (rows, columns) = (self.scaled.rows.max(1), self.scaled.columns.max(1));
+        // Cells of a narrow overlap still hold some pixels each.
+        let columns = columns.min(area.width / (MIN_CELL_STEPS * step));
+        if columns == 0 || area.height < rows {
+            return None;
+        }
+        // A median of some hundred pixels is as good as one of thousands.
+        let in_cell = area.width / columns * (area.height / rows);
+        Some(Cells { area, rows, columns, step: step.max((in_cell / MAX_CELL_PIXELS).isqrt()) })
+    }
+
     /// Lays the grid and takes a pair from each cell.
     fn gather(&mut self, disparity: View<'_, f32>, left: &RectifiedView, right: &RectifiedView) {
         self.from.clear();
         self.to.clear();
         let (width, height) = (disparity.width, disparity.height);
-        // Rectified views differ from the pictures by little, so that the pictures' overlap places the grid.
-        let known = self.memory.filter(|_| self.failures == 0);
-        let step = self.scaled.step_px.max(1);
-        let area = match known {
-            Some(map) => overlap_roi(&map, right.size.0, right.size.1, width, height),
-            None => self.shared_area(disparity, step),
+        let area = match self.known_area((width, height), right.size) {
+            Some(area) => area,
+            None => self.shared_area(disparity, self.scaled.step_px.max(1)),
         };
         self.is_narrow = area.width * NARROW_PART < width || area.height * NARROW_PART < height;
-        let (rows, columns) = (self.scaled.rows.max(1), self.scaled.columns.max(1));
+        let count = self.scaled.rows.max(1) * self.scaled.columns.max(1);
         self.samples.clear();
-        self.samples.reserve(rows * columns);
-        self.from.reserve(rows * columns);
-        self.to.reserve(rows * columns);
-        self.mask.reserve((rows * columns).saturating_sub(self.mask.len()));
-        self.ransac.reserve(rows * columns);
-        self.stability.reserve(rows * columns, self.scaled.anchor_fit);
-        // Cells of a narrow overlap still hold some pixels each.
-        let columns = columns.min(area.width / (MIN_CELL_STEPS * step));
-        if columns == 0 || area.height < rows {
-            return;
-        }
-        // A median of some hundred pixels is as good as one of thousands.
-        let in_cell = area.width / columns * (area.height / rows);
-        let step = step.max((in_cell / MAX_CELL_PIXELS).isqrt());
-        for row in 0..rows {
-            let (y0, y1) = (area.y + row * area.height / rows, area.y + (row + 1) * area.height / rows);
-            for column in 0..columns {
-                let (x0, x1) = (area.x + column * area.width / columns, area.x + (column + 1) * area.width / columns);
-                let Some((point, d)) = self.cell(disparity, (x0, x1), (y0, y1), step) else { continue };
+        self.samples.reserve(count);
+        self.from.reserve(count);
+        self.to.reserve(count);
+        self.mask.reserve(count.saturating_sub(self.mask.len()));
+        self.ransac.reserve(count);
+        self.stability.reserve(count, self.scaled.anchor_fit);
+        let Some(cells) = self.cells(area) else { return };
+        for row in 0..cells.rows {
+            for column in 0..cells.columns {
+                let Some((point, d)) = self.cell(disparity, &cells, (column, row)) else { continue };
                 let other = [point[0] - f64::from(d), point[1]];
                 if other[0] >= 0.0 {
                     self.samples.push(Sample { at: point, disparity_px: f64::from(d) });
@@ -405,18 +405,13 @@ impl RegisterGrid {
         }
     }
 
-    fn cell(
-        &mut self,
-        disparity: View<'_, f32>,
-        (x0, x1): (usize, usize),
-        (y0, y1): (usize, usize),
-        step: usize,
-    ) -> Option<(Point, f32)> {
+    fn cell(&mut self, disparity: View<'_, f32>, cells: &Cells, (column, row): (usize, usize)) -> Option<(Point, f32)> {
+        let (columns, rows) = (cells.column(column), cells.row(row));
         self.cell.clear();
         let (mut looked, mut peak) = (0usize, (0.0f32, [0.0; 2]));
-        for y in (y0 + step / 2..y1).step_by(step) {
+        for y in cells.sampled(rows.clone()) {
             let line = disparity.row(y);
-            for x in (x0 + step / 2..x1).step_by(step) {
+            for x in cells.sampled(columns.clone()) {
                 looked += 1;
                 let d = line[x];
                 if d > 0.0 && d.is_finite() {
@@ -435,7 +430,8 @@ impl RegisterGrid {
             CellPoint::Peak => Some((peak.1, peak.0)),
             CellPoint::Median => {
                 let (_, &mut median, _) = self.cell.select_nth_unstable_by(valid / 2, f32::total_cmp);
-                Some(([(x0 + x1 - 1) as f64 / 2.0, (y0 + y1 - 1) as f64 / 2.0], median))
+                let middle = |range: std::ops::Range<usize>| (range.start + range.end - 1) as f64 / 2.0;
+                Some(([middle(columns), middle(rows)], median))
             }
         }
     }
@@ -461,6 +457,30 @@ mod tests {
     /// Disparity of a plane that leans back: `d = 200 + x / 40 - y / 30`.
     fn plane() -> Vec<f32> {
         (0..640 * 480).map(|i| 200.0 + (i % 640) as f32 / 40.0 - (i / 640) as f32 / 30.0).collect()
+    }
+
+    #[test]
+    fn pixels_that_are_not_announced_are_not_read() {
+        let map = plane();
+        let size = (640, 480);
+        let [mut whole, mut part] = [0, 1].map(|_| RegisterGrid::new(GridParams::default()));
+        assert_eq!(part.pixels(size, &camera(), &camera()), None, "the first map");
+        for tick in 0..3 {
+            let known = part.pixels(size, &camera(), &camera());
+            assert_eq!(known.is_some(), tick > 0);
+            let is_known = |at: usize| {
+                known.as_ref().is_none_or(|[columns, rows]| {
+                    columns.contains(&(at as u32 % 640)) && rows.contains(&(at as u32 / 640))
+                })
+            };
+            let seen: Vec<f32> = (0..map.len()).map(|at| if is_known(at) { map[at] } else { 1e9 }).collect();
+            let [expected, found] = [(&mut whole, &map), (&mut part, &seen)]
+                .map(|(grid, map)| grid.register(View::new(map, 640, 480, 1), &camera(), &camera()));
+            assert_eq!(found, expected, "tick {tick}");
+            assert_eq!(found.state, RegistrationState::Fresh);
+            let count = known.map_or(0, |[columns, rows]| columns.len() * rows.len());
+            assert!(count < 640 * 480 / 8, "{count}");
+        }
     }
 
     #[test]

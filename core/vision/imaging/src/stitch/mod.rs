@@ -19,6 +19,7 @@ pub mod evaluate;
 mod exposure;
 mod graph_cut;
 pub mod grid;
+mod grid_cells;
 pub mod judge;
 mod lit_spans;
 mod mark;

@@ -5,7 +5,7 @@ use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use panoscope_abi::{self as abi, Frame, Host, NodeType, Status};
+use panoscope_abi::{self as abi, BufferId, Frame, Host, NodeType, Status};
 use panoscope_engine::host;
 use panoscope_engine::isolation::STATUS_DIED;
 use panoscope_engine::memory::{FrameRef, Memory, memory};
@@ -246,6 +246,7 @@ impl Remote {
     fn shared(&mut self, input: &Frame) -> Result<Frame, NotShared> {
         // Its process has another GPU, or none.
         memory().fetch(input);
+        let input = &Frame { buffer: BufferId { home: abi::HOME_HOST, ..input.buffer }, ..*input };
         if input.is_empty() || self.gives(input)? {
             return Ok(*input);
         }

@@ -278,11 +278,7 @@ impl MeshFollower {
             return report;
         }
         report.is_new = self.mesh.source.is_empty();
-        let cell = (lattice.cell_px / p.observations.max(1)).max(4);
-        let step = ((p.step_px as f64 * scale).round() as usize).max(1);
-        let agree_px = (p.agree_px * scale) as f32;
-        let sampling = Sampling { cell_px: cell, step_px: step, agree_px, along: p.along };
-        self.observations.gather(disparity, [left, right], &sampling, pool);
+        self.observations.gather(disparity, [left, right], &self.sampling(scale), pool);
         self.observations.keep_patches(p.min_patch);
         self.locate(p.reach_px * scale);
         report.observations = self.located.len();
@@ -349,10 +345,26 @@ impl MeshFollower {
         report
     }
 
+    fn cell_px(&self, scale: f64) -> usize {
+        ((self.params.cell_px * scale).round() as usize).max(8)
+    }
+
+    fn sampling(&self, scale: f64) -> Sampling {
+        let p = &self.params;
+        let cell_px = (self.cell_px(scale) / p.observations.max(1)).max(4);
+        let step_px = ((p.step_px as f64 * scale).round() as usize).max(1);
+        Sampling { cell_px, step_px, agree_px: (p.agree_px * scale) as f32, along: p.along }
+    }
+
+    /// Columns and rows that are read of a map of `size`, as large as the right image.
+    pub(super) fn pixels_of_map(&self, size: (usize, usize), right: (usize, usize)) -> [Vec<u32>; 2] {
+        self.sampling(right.0 as f64 / REFERENCE_COLUMNS).pixels(size)
+    }
+
     /// The lattice for this homography: the current one while it fits.
     fn cover(&self, left_from_right: &Homography, size: (usize, usize), scale: f64) -> Option<Lattice> {
         let corners = left_from_right.map_corners(size.0, size.1)?;
-        let cell_px = ((self.params.cell_px * scale).round() as usize).max(8);
+        let cell_px = self.cell_px(scale);
         let bounds = [0, 1].map(|k| {
             let along = corners.map(|corner| corner[k] / cell_px as f64);
             (along.iter().copied().fold(f64::MAX, f64::min), along.iter().copied().fold(f64::MIN, f64::max))

@@ -59,9 +59,8 @@ impl Observations {
         sampling: &Sampling,
         pool: &dyn Parallel,
     ) {
-        let cell_px = sampling.cell_px.max(2);
-        let step_px = sampling.step_px.max(cell_px.div_ceil(MAX_SAMPLES));
-        let sampling = Sampling { cell_px, step_px, ..*sampling };
+        let sampling = sampling.bounded();
+        let cell_px = sampling.cell_px;
         let (columns, rows) = (disparity.width.div_ceil(cell_px), disparity.height.div_ceil(cell_px));
         (self.cell_px, self.columns, self.rows) = (cell_px, columns, rows);
         self.cells.clear();
@@ -137,6 +136,24 @@ pub struct Sampling {
     /// Position of the other camera, in units of the disparity's baseline: a point at `(x, y)` is at `(x, y) -
     /// disparity * along` in its view.
     pub along: [f64; 2],
+}
+
+impl Sampling {
+    /// With cells and steps that fit each other.
+    fn bounded(&self) -> Self {
+        let cell_px = self.cell_px.max(2);
+        Self { cell_px, step_px: self.step_px.max(cell_px.div_ceil(MAX_SAMPLES)), ..*self }
+    }
+
+    /// Columns and rows of a map that are read.
+    pub fn pixels(&self, size: (usize, usize)) -> [Vec<u32>; 2] {
+        let Self { cell_px, step_px, .. } = self.bounded();
+        [size.0, size.1].map(|length| {
+            let cells = (0..length).step_by(cell_px);
+            let in_cell = |from: usize| (from + step_px / 2..(from + cell_px).min(length)).step_by(step_px);
+            cells.flat_map(in_cell).map(|at| at as u32).collect()
+        })
+    }
 }
 
 struct Agreed {

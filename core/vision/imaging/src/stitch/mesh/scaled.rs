@@ -45,6 +45,12 @@ impl MeshFollower {
         mesh.given()
     }
 
+    /// Columns and rows, ascending, that [`Self::update`] reads of a map of `size`.
+    pub fn pixels(&self, size: (usize, usize), left: &RectifiedView, right: &RectifiedView) -> [Vec<u32>; 2] {
+        let factor = map_factor(size, left.size).unwrap_or(1);
+        self.pixels_of_map(size, if factor == 1 { right.size } else { right.shrunk(factor).size })
+    }
+
     /// Updates the mesh with a frame that has a good homography; without one the last mesh is kept.
     ///
     /// `disparity`: px of the left rectified view, NaN where unmatched. It has the size of the images, or is smaller

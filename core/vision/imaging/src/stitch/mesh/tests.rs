@@ -203,6 +203,24 @@ fn both_views_fit_where_the_mesh_leaves_the_reference_plane() {
 }
 
 #[test]
+fn pixels_that_are_not_announced_are_not_read() {
+    let [mut whole, mut part] = [0, 1].map(|_| MeshFollower::new(MeshParams::default()));
+    for frame in 0..3 {
+        let map = map(hills, 0.3, frame);
+        let [columns, rows] = part.pixels(SIZE, &camera(), &camera());
+        assert!(columns.len() * rows.len() < SIZE.0 * SIZE.1 / 4, "{} x {}", columns.len(), rows.len());
+        let mut seen = vec![1e9; map.len()];
+        for at in rows.iter().flat_map(|y| columns.iter().map(|x| *y as usize * SIZE.0 + *x as usize)) {
+            seen[at] = map[at];
+        }
+        let [expected, found] = [(&mut whole, &map), (&mut part, &seen)].map(|(mesh, map)| update(mesh, map, &plane()));
+        assert_eq!(format!("{found:?}"), format!("{expected:?}"));
+        assert_eq!(part.mesh(), whole.mesh(), "frame {frame}");
+        assert!(part.mesh().is_some());
+    }
+}
+
+#[test]
 fn a_camera_below_is_followed_along_its_own_direction() {
     // Depth that is known everywhere, as two pairs of cameras know it together.
     let disparity: Vec<f32> =
