@@ -26,11 +26,6 @@ pub struct Shapes {
 }
 
 impl Shapes {
-    /// Whether nothing is drawn.
-    pub fn is_empty(&self) -> bool {
-        self.shapes.is_empty()
-    }
-
     /// Removes all shapes.
     pub fn clear(&mut self) {
         self.shapes.clear();
