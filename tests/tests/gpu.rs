@@ -359,14 +359,9 @@ fn the_processor_reads_parts_of_frames_on_the_gpu() {
     let text = PARTS.replace("DEVICE", "gpu");
     let copies = plain(&folder, &text).nodes.into_iter().map(|(node, seen)| (node, seen.copies));
     let copies: BTreeMap<_, _> = copies.filter(|(_, copies)| *copies > 0).collect();
-    // Both views reach the GPU; gray views come back to measure their rows, the first map to find what the views share.
+    // Both views reach the GPU; the first map comes back to find what the views share.
     let readers = copies.get("register").or(copies.get("tip"));
-    assert_eq!(
-        (copies["views"], copies["match"], readers),
-        (2 * FRAMES, 2 * FRAMES.div_ceil(8), Some(&1)),
-        "{copies:?}"
-    );
-    assert_eq!(copies.len(), 3, "{copies:?}");
+    assert_eq!((copies.get("views"), readers, copies.len()), (Some(&(2 * FRAMES)), Some(&1), 2), "{copies:?}");
     // In a process of their own nodes get whole frames.
     let mut whole = PARTS.replace("DEVICE", "cpu");
     for node in ["register", "tip", "length", "turn"] {
