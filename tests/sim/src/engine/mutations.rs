@@ -56,14 +56,6 @@ pub(crate) const MUTATIONS: &[(&str, Change)] = &[
         },
     ),
     (
-        "overtake",
-        Change {
-            file: "region.rs",
-            from: "state.pending.is_empty() && !state.handing {",
-            to: "state.pending.is_empty() && (!state.handing || panoscope_sim::world::is_mutated(\"overtake\")) {",
-        },
-    ),
-    (
         "drop-uncounted",
         Change {
             file: "region.rs",
