@@ -1,5 +1,6 @@
 //! `stream`: sends its input as live video over the network.
 
+mod clients;
 mod codec;
 pub(crate) mod fanout;
 mod push;

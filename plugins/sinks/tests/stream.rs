@@ -288,6 +288,7 @@ impl Recorder {
         let server = gstreamer_rtsp_server::RTSPServer::new();
         server.set_address("127.0.0.1");
         server.set_service(&port.to_string());
+        server.thread_pool().unwrap().set_max_threads(0);
         let factory = gstreamer_rtsp_server::RTSPMediaFactory::new();
         factory.set_transport_mode(gstreamer_rtsp_server::RTSPTransportMode::RECORD);
         factory.set_latency(0);
@@ -325,9 +326,12 @@ impl Drop for Recorder {
         if let Some(source) = self.attached.take().and_then(|id| self.context.find_source_by_id(&id)) {
             source.destroy();
         }
-        self.server.client_filter(Some(&mut |_, _| gstreamer_rtsp_server::RTSPFilterResult::Remove));
-        let main_loop = self.main_loop.clone();
-        self.context.invoke(move || main_loop.quit());
+        let (server, main_loop) = (self.server.clone(), self.main_loop.clone());
+        // A client can only be closed by the thread that serves it.
+        self.context.invoke(move || {
+            server.client_filter(Some(&mut |_, _| gstreamer_rtsp_server::RTSPFilterResult::Remove));
+            main_loop.quit();
+        });
         self.thread.take().unwrap().join().unwrap();
     }
 }

@@ -3,7 +3,8 @@
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use gstreamer::Caps;
+use gstreamer::prelude::*;
+use gstreamer::{Caps, State};
 use gstreamer_app::AppSrc;
 use panoscope_media::{MediaError, Packet, make};
 
@@ -60,6 +61,14 @@ struct Consumer {
     needs_key: bool,
 }
 
+impl Consumer {
+    /// Whether it plays and is not too far behind. A pipeline that does not play yet stamps packets with a time that has no meaning: its sink would
+    /// wait for hours before it sends the first one.
+    fn can_take(&self) -> bool {
+        self.source.current_state() == State::Playing && self.source.current_level_buffers() < MAX_WAITING
+    }
+}
+
 /// The receivers of a stream's packets.
 #[derive(Default)]
 pub struct Fanout {
@@ -80,7 +89,7 @@ pub struct Counts {
     pub encoded: u64,
     /// Number of frames that a newer one replaced before they were encoded.
     pub replaced: u64,
-    /// Number of packets that a receiver did not get because it was too far behind.
+    /// Number of packets that a receiver did not get because it did not play yet or was too far behind.
     pub held_back: u64,
 }
 
@@ -119,14 +128,13 @@ impl Fanout {
 
     /// Whether a receiver waits for a keyframe and could take it.
     pub fn wants_key(&self) -> bool {
-        self.lock().iter().any(|consumer| consumer.needs_key && consumer.source.current_level_buffers() < MAX_WAITING)
+        self.lock().iter().any(|consumer| consumer.needs_key && consumer.can_take())
     }
 
     /// Sends a packet to all receivers that can take it.
     pub fn send(&self, caps: &Caps, packet: &Packet) {
         for consumer in self.lock().iter_mut() {
-            let is_behind = consumer.source.current_level_buffers() >= MAX_WAITING;
-            if is_behind || consumer.needs_key && !packet.is_key() {
+            if !consumer.can_take() || consumer.needs_key && !packet.is_key() {
                 consumer.needs_key = true;
                 self.held_back.fetch_add(1, Ordering::Relaxed);
                 continue;
@@ -172,5 +180,40 @@ impl Fanout {
             replaced: self.replaced.load(Ordering::Relaxed),
             held_back: self.held_back.load(Ordering::Relaxed),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use gstreamer::{Buffer, ClockTime, Pipeline, SystemClock};
+    use gstreamer_app::AppSink;
+
+    use super::*;
+
+    /// The server of a stream gives a pipeline its clock a moment before it lets it play.
+    #[test]
+    fn a_receiver_with_a_clock_gets_nothing_until_it_plays() {
+        gstreamer::init().unwrap();
+        let pipeline = gstreamer::parse::launch(&format!("{SOURCE} ! appsink name=sink sync=false")).unwrap();
+        let pipeline = pipeline.downcast::<Pipeline>().unwrap();
+        let source = pipeline.by_name("source").unwrap().downcast::<AppSrc>().unwrap();
+        let sink = pipeline.by_name("sink").unwrap().downcast::<AppSink>().unwrap();
+        source.set_clock(Some(&SystemClock::obtain())).unwrap();
+        pipeline.set_state(State::Paused).unwrap();
+        let fanout = Fanout::default();
+        fanout.add(source.clone());
+        let caps = Caps::new_empty_simple("image/jpeg");
+        let packet = Packet { buffer: Buffer::with_size(4).unwrap() };
+        fanout.send(&caps, &packet);
+        assert!(fanout.counts().held_back == 1 && !fanout.wants_key(), "{:?}", fanout.counts());
+        pipeline.set_state(State::Playing).unwrap();
+        assert_eq!(source.state(ClockTime::from_seconds(10)).1, State::Playing);
+        assert!(fanout.wants_key());
+        fanout.send(&caps, &packet);
+        let sample = sink.try_pull_sample(ClockTime::from_seconds(10)).unwrap();
+        let time = sample.buffer().unwrap().pts().unwrap();
+        // The clock counts from the start of the machine, a receiver from its own.
+        assert!(time < ClockTime::from_seconds(15), "{time}");
+        pipeline.set_state(State::Null).unwrap();
     }
 }

@@ -10,8 +10,9 @@ use gstreamer::glib::{ControlFlow, MainContext, MainLoop, SourceId};
 use gstreamer::prelude::*;
 use gstreamer_app::AppSrc;
 use gstreamer_rtsp_server::prelude::*;
-use gstreamer_rtsp_server::{RTSPFilterResult, RTSPMediaFactory, RTSPMountPoints, RTSPServer};
+use gstreamer_rtsp_server::{RTSPMediaFactory, RTSPMountPoints, RTSPServer};
 
+use super::clients::Clients;
 use super::fanout::{Fanout, Payload, SOURCE};
 use crate::serving::{ServeError, refused};
 
@@ -24,6 +25,7 @@ const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
 struct Server {
     bound: SocketAddr,
     rtsp: RTSPServer,
+    clients: Arc<Clients>,
     mounts: RTSPMountPoints,
     /// Node that serves each path.
     paths: Mutex<BTreeMap<String, String>>,
@@ -79,6 +81,7 @@ impl Server {
             .map_err(|error| failed(error.to_string()))?;
         Ok(Self {
             bound: SocketAddr::new(asked.ip(), port),
+            clients: Clients::of(&rtsp),
             rtsp,
             mounts,
             paths: Mutex::default(),
@@ -109,7 +112,7 @@ impl Drop for Server {
                 source.destroy();
             }
         }
-        self.rtsp.client_filter(Some(&mut |_, _| RTSPFilterResult::Remove));
+        self.clients.close(&self.rtsp);
         // From inside the loop, so that one that has not begun yet ends too.
         let main_loop = self.main_loop.clone();
         self.context.invoke(move || main_loop.quit());
@@ -182,5 +185,40 @@ impl Drop for Mount {
     fn drop(&mut self) {
         self.server.mounts.remove_factory(&self.path);
         self.server.paths.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::net::{Ipv4Addr, TcpStream};
+    use std::sync::mpsc::channel;
+    use std::thread::{ThreadId, current};
+
+    use super::*;
+    use crate::stream::codec::StreamCodec;
+
+    #[test]
+    fn a_client_is_closed_by_its_own_thread() {
+        gstreamer::init().unwrap();
+        let fanout = Arc::new(Fanout::default());
+        let payload = Payload::of(StreamCodec::Mjpg);
+        let mount = Mount::new(Ipv4Addr::LOCALHOST.into(), 0, "/live", "out", payload, &fanout).unwrap();
+        let (asks, asked) = channel::<ThreadId>();
+        let (closes, closed) = channel::<ThreadId>();
+        mount.server.rtsp.connect_client_connected(move |_, client| {
+            let (asks, closes) = (asks.clone(), closes.clone());
+            client.connect_options_request(move |_, _| asks.send(current().id()).unwrap());
+            client.connect_closed(move |_| closes.send(current().id()).unwrap());
+        });
+        let mut client = TcpStream::connect(("127.0.0.1", mount.port())).unwrap();
+        client.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        write!(client, "OPTIONS {} RTSP/1.0\r\nCSeq: 1\r\n\r\n", mount.url()).unwrap();
+        let own = asked.recv_timeout(Duration::from_secs(20)).unwrap();
+        drop(mount);
+        assert_eq!(closed.recv_timeout(Duration::from_secs(20)), Ok(own));
+        let mut answer = String::new();
+        client.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("RTSP/1.0 200"), "{answer}");
     }
 }
