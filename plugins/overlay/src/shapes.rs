@@ -39,15 +39,12 @@ impl Shapes {
 
     /// Adds a closed polyline, see [`draw::polygon`].
     pub fn polygon(&mut self, points: &[(f32, f32)], line_px: f32, color: Color) {
-        points.windows(2).for_each(|side| self.line(side[0], side[1], line_px, color));
-        if let [first, _, .., last] = points {
-            self.line(*last, *first, line_px, color);
-        }
+        draw::sides(points).for_each(|[from, to]| self.line(from, to, line_px, color));
     }
 
     /// Adds the outline of a rectangle, see [`draw::rectangle`].
     pub fn rectangle(&mut self, (x, y): (f32, f32), (width, height): (f32, f32), line_px: f32, color: Color) {
-        self.polygon(&[(x, y), (x + width, y), (x + width, y + height), (x, y + height)], line_px, color);
+        self.polygon(&draw::corners(x, y, width, height), line_px, color);
     }
 
     /// Adds a circle's outline, see [`draw::circle`].
@@ -176,7 +173,7 @@ mod tests {
 
     const COLOR: Color = [255; 3];
 
-    /// Changes nothing of an image but what lies in its areas.
+    /// Tests that nothing outside the areas changes; returns the number of their pixels.
     fn check(shapes: &Shapes, (width, height): (usize, usize)) -> usize {
         let mut data = vec![7; 3 * width * height];
         shapes.draw(&mut ViewMut::new(&mut data, width, height, 3));

@@ -336,7 +336,7 @@ fn the_processor_makes_images_that_the_device_loses() {
     // The harness copies two images to the GPU, the node submits all its work at once.
     check_lost::<Screen>(", width = 641, height = 359", 3, |node| screen(node, 0));
     check_lost::<Overlay>(BELOW, 2, |node| overlay(node, "12 mm", 0));
-    // The parts that are drawn on, besides.
+    // And the parts that are drawn on.
     check_lost::<Overlay>(BELOW, 3, |node| marked(node, 4));
     // Without a tip: what is drawn does not depend on the ticks before.
     check_lost::<Trajectory>("", 3, |node| trajectory(node, 3));

@@ -177,7 +177,7 @@ mod tests {
         for y in 0..19 {
             for x in 1..95 {
                 let value = map[y * 97 + x];
-                // The two pixels beside the step take the value of their block.
+                // The two pixels next to the step take the value of their block.
                 let limit = if (47..=48).contains(&x) { 0.26 } else { 1e-3 };
                 assert!((value - slope(x as f32)).abs() < limit, "{x}, {y}: {value}");
             }

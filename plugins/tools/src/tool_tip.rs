@@ -545,11 +545,13 @@ impl Node for ToolTip {
         }
         let keypoints = input.keypoints;
         let tools = Tools { found: &found, masks, keypoints, size: found.image_size(), class: &params.class };
+        let left = tools.view("image", input.image, "the image that was searched")?;
+        let right = tools.view("right", input.right, "the other view of the same pair")?;
         let mut memory = std::mem::take(&mut self.memory);
         let mut views = Views {
             size: tools.size,
-            left: tools.view("image", input.image, "the image that was searched")?,
-            right: tools.view("right", input.right, "the other view of the same pair")?,
+            left,
+            right,
             depth: input.depth,
             disparity: input.disparity,
             focal_baseline: input.calibration.as_ref().map_or(f64::NAN, |c| c.left_projection[0] * c.baseline_mm),

@@ -9,7 +9,7 @@ struct Call {
     pixel_bytes: u32,
     // Pixels of a row of the result.
     columns: u32,
-    // Where the first column stands in `chosen`; rows follow.
+    // Index of the first column in `chosen`; rows follow.
     first: u32,
     // First word of the result.
     start: u32,

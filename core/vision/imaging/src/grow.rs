@@ -27,7 +27,7 @@ struct Columns {
 }
 
 /// The bytes of four columns: for each the byte of the left pixel and of the right one. A column begins at most one pixel
-/// behind the one before it, so that all of them lie in [`PADDING`] bytes.
+/// behind the one before it, so that all of them are within [`PADDING`] bytes.
 #[derive(Debug, Clone, Copy, Default)]
 struct Four {
     /// First byte of the first column's left pixel.
@@ -155,7 +155,7 @@ fn weighted(bytes: std::arch::x86_64::__m256i, weights: std::arch::x86_64::__m25
 /// The pixels of `target` from those of `row`, which has [`PADDING`] bytes behind its pixels.
 fn widen(simd: Simd, row: &[u8], columns: &Columns, target: &mut [u8]) {
     #[cfg(target_arch = "x86_64")]
-    // SAFETY: `Simd` allows AVX2 only where the processor has it; each column begins at a pixel, and `PADDING` bytes from there on lie in the row.
+    // SAFETY: `Simd` allows AVX2 only where the processor has it; each column begins at a pixel, and the row has `PADDING` bytes from there on.
     let done = if simd.avx2() { unsafe { widen_avx2(row, columns, target) } } else { 0 };
     #[cfg(not(target_arch = "x86_64"))]
     let done = 0;

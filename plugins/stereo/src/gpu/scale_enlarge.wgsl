@@ -12,7 +12,7 @@ fn between(a: u32, b: u32, share: f32, max_step: f32) -> u32 {
 
 // Blocks before and after a pixel of a line of `count` blocks, and, in pairs of their sides, the way from the first one's middle.
 fn blocks(at: u32, count: u32) -> vec3<u32> {
-    // No block lies before the first one's middle, and none after the last one's.
+    // No block is before the first one's middle, and none after the last one's.
     let way = max(2u * at + 1u, sizes.factor) - sizes.factor;
     let first = way / (2u * sizes.factor);
     if (first + 1u >= count) {

@@ -190,7 +190,7 @@ impl GpuWlsFilter {
         Ok(())
     }
 
-    /// Clears what lies beyond the mask and the strip around it.
+    /// Clears what is outside the mask and the strip around it.
     fn clear_beyond(&mut self, images: &WlsImages<'_>, params: &WlsParams) -> Result<()> {
         let Some((mask, rows)) = images.mask else { return Ok(()) };
         let (gpu, call) = (self.gpu, self.write_call(images, params, Rect::default())?);

@@ -1,4 +1,4 @@
-// Clears what lies beyond the mask and the strip around it that may be filled.
+// Clears what is outside the mask and the strip around it that may be filled.
 
 @group(0) @binding(1) var<storage, read> mask: array<u32>;
 @group(0) @binding(2) var<storage, read> guide: array<u32>;

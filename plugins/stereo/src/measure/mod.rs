@@ -155,7 +155,7 @@ fn points_of(input: &In<'_>, params: &MeasureParams, given: &mut Vec<[f64; 2]>) 
 }
 
 impl Measure {
-    /// Finds where the points of the tick lie.
+    /// Finds the places of the points of the tick.
     fn gather(&mut self, input: &In<'_>, surface: &Surface<'_>, trust: Option<View<'_, f32>>, params: &MeasureParams) {
         self.places.clear();
         let first_tip = params.points.len() / 2;

@@ -75,7 +75,7 @@ fn slopes_stay_straight_and_steps_stay_steps() {
     for (x, y) in (0..19).flat_map(|y| (1..95).map(move |x| (x, y))) {
         let found = map[y * 97 + x];
         let is_near_unknown = (14..19).contains(&x) && (5..10).contains(&y);
-        // The two pixels beside the step take the value of their block.
+        // The two pixels next to the step take the value of their block.
         let limit = if (47..=48).contains(&x) || is_near_unknown { 0.26 } else { 1e-3 };
         let is_unknown = (15..18).contains(&x) && (6..9).contains(&y);
         assert!(if is_unknown { found.is_nan() } else { (found - slope(x as f32)).abs() < limit }, "{x}, {y}: {found}");

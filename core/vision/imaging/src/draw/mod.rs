@@ -20,7 +20,9 @@ pub use font::is_drawable;
 pub use labels::{Area, Labels};
 pub use overlay::{ScaleBar, blend_mask, scale_bar};
 pub use rims::{GradientLimit, Rims};
-pub use shapes::{arrow, circle, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle};
+pub use shapes::{
+    arrow, circle, corners, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle, sides,
+};
 pub use surface::{DrawnPoint, Orbit, Projection, SurfacePainter, SurfacePoints, filled_color, middle_steps};
 pub use text::{text, text_size};
 

@@ -91,18 +91,28 @@ pub fn polyline(out: &mut ViewMut<u8>, points: &[(f32, f32)], thickness_px: f32,
     }
 }
 
+/// The sides of a closed polyline.
+pub fn sides(points: &[(f32, f32)]) -> impl Iterator<Item = [(f32, f32); 2]> {
+    let last = match points {
+        [first, _, .., last] => Some([*last, *first]),
+        _ => None,
+    };
+    points.windows(2).map(|side| [side[0], side[1]]).chain(last)
+}
+
 /// A closed polyline.
 pub fn polygon(out: &mut ViewMut<u8>, points: &[(f32, f32)], thickness_px: f32, color: Color) {
-    polyline(out, points, thickness_px, color);
-    if let (Some(first), Some(last), true) = (points.first(), points.last(), points.len() > 2) {
-        line(out, *last, *first, thickness_px, color);
-    }
+    sides(points).for_each(|[from, to]| line(out, from, to, thickness_px, color));
+}
+
+/// The corners of the rectangle from `(x, y)`, `width` x `height` pixels.
+pub fn corners(x: f32, y: f32, width: f32, height: f32) -> [(f32, f32); 4] {
+    [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
 }
 
 /// The outline of the rectangle from `(x, y)`, `width` x `height` pixels.
 pub fn rectangle(out: &mut ViewMut<u8>, x: f32, y: f32, width: f32, height: f32, thickness_px: f32, color: Color) {
-    let corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)];
-    polygon(out, &corners, thickness_px, color);
+    polygon(out, &corners(x, y, width, height), thickness_px, color);
 }
 
 /// A filled rectangle of whole pixels; `alpha` 0 leaves the image unchanged, 1 covers it.

@@ -90,7 +90,7 @@ pub trait PairViews {
     fn border(&mut self, columns: usize) -> Result<[View<'_, u8>; 2], StereoError>;
 
     /// Writes patches of a view, of `width` x `height` px each, into `out`, one after the other, row after row. `corners` are
-    /// their first columns and rows; all of a patch lies inside the view.
+    /// their first columns and rows; all of a patch is inside the view.
     ///
     /// # Errors
     /// [`StereoError::Device`].

@@ -68,7 +68,7 @@ struct Sample {
     off_px: f32,
 }
 
-/// A hole that is small enough: where its runs and the pixels around it stand in their lists, and by how much it may
+/// A hole that is small enough: the indices of its runs and of the pixels around it in their lists, and by how much it may
 /// exceed the limits.
 #[derive(Clone)]
 struct Hole {

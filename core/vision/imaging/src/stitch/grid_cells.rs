@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::Rect;
 
-/// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
+/// Share of the matched pixels, in per mille, that may be beyond each side of the shared area: wrong matches.
 const BEYOND_PER_MILLE: u64 = 10;
 
 /// A grid on an area, px.
