@@ -25,6 +25,7 @@ mod probes;
 mod sizes;
 mod source;
 mod states;
+mod still;
 mod tasks;
 mod timeline;
 mod values;

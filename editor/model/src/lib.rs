@@ -16,6 +16,7 @@ pub mod docks;
 pub mod document;
 mod entries;
 pub mod examples;
+pub mod first_previews;
 pub mod folding;
 pub mod graph_view;
 pub mod history;

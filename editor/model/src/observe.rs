@@ -1,8 +1,10 @@
 //! Renders previews of the running graph for the window, at most five to ten times per second, and reads its counters twice per second. It
 //! runs on a thread of its own, so that the window's thread never waits.
 //!
-//! For each previewed output at most two frames are retained: the newest one, and the one being rendered. Of outputs that are compared or shown as
-//! a stereo pair a few more are, among which one tick of both is searched.
+//! For each previewed output two frames are retained: the newest one, and the one that was rendered last, which is rendered again when it is asked
+//! for in another way. Of outputs that are compared or shown as a stereo pair a few more are, among which one tick of both is searched.
+//!
+//! The first previews exist before the first tick, see [`crate::first_previews`]: the pictures of a run that is over at once are shown too.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -11,21 +13,22 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_engine::fault::{Action, Fault, FaultCursor};
-use panoscope_engine::memory::FrameRef;
-use panoscope_engine::{Engine, NodeReport, NodeWindow, Window};
-use panoscope_host::attach::{Attachment, PAIR_TICKS};
+use panoscope_engine::{NodeReport, NodeWindow, Window};
+use panoscope_host::attach::PAIR_TICKS;
 use serde::{Deserialize, Serialize};
 
 use crate::comparing::{self, Comparison, ComparisonRequest};
 pub use crate::output::{Output, WireEnd};
-use crate::picture::{self, Range, RenderedPacket};
-use crate::probe::{self, Probe, ProbeRequest};
+use crate::picture::RenderedPacket;
+use crate::probe::{Probe, ProbeRequest};
 use crate::session::{Handle, Phase};
-use crate::surface::{self, Painter, Viewpoint};
+use crate::surface::Viewpoint;
 use panoscope_engine::sync::lock;
 
 mod feed;
+mod preview;
 use feed::{Fed, Feed, wanted};
+use preview::OutputPreview;
 
 /// Minimum time between two previews of an output while one is shown large.
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
@@ -137,6 +140,7 @@ impl Mailbox {
 
 /// The observer's thread and its results.
 pub struct Observer {
+    handle: Handle,
     mailbox: Arc<Mutex<Mailbox>>,
     quit: Arc<AtomicBool>,
     rounds: Arc<AtomicU64>,
@@ -149,10 +153,11 @@ impl Observer {
     /// # Errors
     /// The thread cannot be started.
     pub fn new(handle: Handle) -> std::io::Result<Self> {
+        handle.first_previews().expect();
         let (mailbox, quit) = (Arc::<Mutex<Mailbox>>::default(), Arc::new(AtomicBool::new(false)));
         let rounds = Arc::new(AtomicU64::new(0));
         let worker = Worker {
-            handle,
+            handle: handle.clone(),
             mailbox: Arc::clone(&mailbox),
             quit: Arc::clone(&quit),
             rounds: Arc::clone(&rounds),
@@ -164,7 +169,7 @@ impl Observer {
             faults: FaultCursor::new(usize::MAX),
         };
         let thread = std::thread::Builder::new().name("observer".to_owned()).spawn(move || worker.run())?;
-        Ok(Self { mailbox, quit, rounds, thread: Some(thread) })
+        Ok(Self { handle, mailbox, quit, rounds, thread: Some(thread) })
     }
 
     /// Sets which outputs are previewed, and the minimum time between two previews.
@@ -172,6 +177,7 @@ impl Observer {
         let mut mailbox = lock(&self.mailbox);
         mailbox.interval = Some(interval);
         if mailbox.requests != requests {
+            self.handle.first_previews().ask(requests.keys());
             mailbox.previews.retain(|output, _| requests.contains_key(output));
             mailbox.requests = requests;
         }
@@ -243,132 +249,6 @@ impl Drop for Observer {
     }
 }
 
-struct OutputPreview {
-    feed: Feed,
-    /// For points: where their confidence comes from, and how many points without it were left out.
-    confidence: Option<(Output, Feed, usize)>,
-    /// From a machine: of the last packet.
-    elsewhere: Option<(Option<i64>, (usize, usize))>,
-    range: Range,
-    /// For a surface: the last frame, rendered again when the viewpoint changes.
-    surface: Option<Surface>,
-    /// The last frame while its values are asked for, with the question that was answered.
-    probed: Option<(FrameRef, Option<ProbeRequest>)>,
-}
-
-impl OutputPreview {
-    fn new(feed: Feed) -> Self {
-        Self { feed, confidence: None, elsewhere: None, range: None, surface: None, probed: None }
-    }
-
-    /// Sets which output has the confidence of the points.
-    fn set_confidence(&mut self, wanted: Option<&Output>, machine: Option<&Arc<Attachment>>, engine: Option<&Engine>) {
-        if self.confidence.as_ref().map(|(output, ..)| output) == wanted {
-            return;
-        }
-        if let Some((output, feed, _)) = self.confidence.take() {
-            drop(feed);
-            if let Some(engine) = engine {
-                engine.end_previews(&output.node);
-            }
-        }
-        self.confidence = wanted.and_then(|output| {
-            let feed = Feed::of(output, machine, engine)?;
-            Some((output.clone(), feed, 0))
-        });
-    }
-
-    /// Sets how many packets are kept, and how many maps of confidence.
-    fn keep(&self, packets: usize, maps: usize) {
-        self.feed.keep(packets);
-        if let Some((_, confidence, _)) = &self.confidence {
-            confidence.keep(maps);
-        }
-    }
-
-    /// A packet with the confidence of its tick where that is wanted.
-    fn measured(&self, fed: Fed) -> Fed {
-        let confidence = self.confidence.as_ref().and_then(|(_, feed, _)| feed.take_tick(fed.frame.tick()));
-        Fed { confidence: confidence.or(fed.confidence), ..fed }
-    }
-
-    /// The newest packet since the last call, with the confidence of its tick where that is wanted.
-    fn take(&mut self) -> Option<Fed> {
-        let Some((_, confidence, left_out)) = &mut self.confidence else { return self.feed.take() };
-        if let Some([points, confidence]) = self.feed.take_pair(confidence) {
-            return Some(Fed { confidence: Some(confidence.frame), ..points });
-        }
-        // The confidence of the first points may have come before it was asked for, and a machine hears later that it is; later ones have none.
-        let fed = self.feed.take()?;
-        *left_out += 1;
-        (*left_out > if fed.elsewhere.is_some() { PAIR_TICKS } else { 1 }).then_some(fed)
-    }
-
-    /// Renders a packet; `None` when there is no packet and the viewpoint is unchanged.
-    fn render(&mut self, fed: Option<Fed>, request: &PreviewRequest, is_probed: bool) -> Option<RenderedPacket> {
-        let mut confidence = None;
-        let frame = fed.map(|fed| {
-            (self.elsewhere, confidence) = (fed.elsewhere, fed.confidence);
-            fed.frame
-        });
-        if !is_probed || request.viewpoint.is_some() {
-            self.probed = None;
-        }
-        let Some(viewpoint) = &request.viewpoint else {
-            self.surface = None;
-            let frame = frame?;
-            let mut render = picture::render(&frame, &request.packet, request.max_width, &mut self.range);
-            if request.points {
-                let confidence = confidence.as_ref().map(|map| (map.frame(), map.bytes()));
-                render.cloud = surface::cloud_of(frame.frame(), frame.bytes(), confidence).map(Arc::new);
-            }
-            if is_probed {
-                self.probed = Some((frame, None));
-            }
-            return Some(render);
-        };
-        let next = match (frame, self.surface.take()) {
-            (Some(frame), old) => {
-                let painter = old.map(|s| s.painter).unwrap_or_default();
-                Surface { viewpoint: *viewpoint, frame, painter }
-            }
-            (None, Some(old)) if old.viewpoint != *viewpoint => Surface { viewpoint: *viewpoint, ..old },
-            (None, old) => {
-                self.surface = old;
-                return None;
-            }
-        };
-        let surface = self.surface.insert(next);
-        let (frame, bytes) = (surface.frame.frame(), surface.frame.bytes());
-        let mut render = RenderedPacket::of_tick(frame);
-        if let Some((pixels, depth_buffer)) = surface.painter.paint(frame, bytes, viewpoint) {
-            (render.pixels, render.depth_buffer) = (Some(pixels), depth_buffer);
-        }
-        Some(render)
-    }
-}
-
-impl OutputPreview {
-    /// The values of the last picture, where it or the question is a new one.
-    fn probe(&mut self, packet: &str, request: &ProbeRequest) -> Option<Probe> {
-        let (frame, answered) = self.probed.as_mut()?;
-        if answered.replace(*request) == Some(*request) {
-            return None;
-        }
-        let probe = probe::read(frame.frame(), frame.bytes(), packet, request)?;
-        Some(match self.elsewhere {
-            Some((_, size)) => probe.of_thinned(size),
-            None => probe,
-        })
-    }
-}
-
-struct Surface {
-    viewpoint: Viewpoint,
-    frame: FrameRef,
-    painter: Painter,
-}
-
 struct Worker {
     handle: Handle,
     mailbox: Arc<Mutex<Mailbox>>,
@@ -405,11 +285,10 @@ impl Worker {
     /// Renders the newest packet of each requested output; returns whether there was one.
     fn pictures(&mut self) -> bool {
         let machine = self.handle.attachment().cloned();
-        let engine = self.handle.engine();
+        let (engine, generation) = self.handle.running();
         if machine.is_none() && engine.is_none() {
             return false;
         }
-        let generation = self.handle.status().generation;
         let (requests, probes, compared, interval) = {
             let mailbox = lock(&self.mailbox);
             let interval = mailbox.interval.unwrap_or(THUMBNAIL_INTERVAL);
@@ -418,12 +297,16 @@ impl Worker {
         // A node that was removed and added again needs a new subscription.
         if generation != self.generation {
             self.generation = generation;
-            self.outputs.clear();
+            let first = self.handle.first_previews().take(generation).into_iter();
+            self.outputs = first.map(|(output, preview)| (output, OutputPreview::new(Feed::Engine(preview)))).collect();
         }
         if let Some(machine) = &machine {
             machine.request_packets(wanted(&requests, compared.as_ref()), interval);
         }
-        let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
+        // A run of a batch ends: what nobody looks at now may be asked for then.
+        let is_batch = engine.as_ref().is_some_and(|engine| engine.is_batch());
+        let unwanted = self.outputs.keys().filter(|output| !is_batch && !requests.contains_key(*output));
+        let removed: Vec<Output> = unwanted.cloned().collect();
         for output in removed {
             if let Some(mut view) = self.outputs.remove(&output) {
                 view.set_confidence(None, None, engine.as_deref());
@@ -460,13 +343,13 @@ impl Worker {
             };
             view.keep(packets, maps);
             let fed = of_one_tick.remove(&output).map(|fed| view.measured(fed)).or_else(|| view.take());
-            let render = view.render(fed, &request, asked.is_some() || is_compared);
-            if let Some(probe) = asked.and_then(|asked| view.probe(&request.packet, asked)) {
+            let render = view.render(fed, &request);
+            if let Some(probe) = asked.and_then(|asked| view.probe(&request, asked)) {
                 lock(&self.mailbox).probes.insert(output.clone(), probe);
                 changed = true;
             }
             if let Some(render) = render {
-                let (arrived_ns, size) = match view.elsewhere {
+                let (arrived_ns, size) = match view.elsewhere() {
                     Some((arrived_ns, size)) => (arrived_ns, size),
                     None => (engine.as_ref().and_then(|engine| engine.arrived_ns(&render.tick)), render.size),
                 };
@@ -487,7 +370,7 @@ impl Worker {
 
     /// Compares two outputs, where their shown packets are of one tick; returns whether there is something new.
     fn compare(&mut self, pair: ComparisonRequest) -> bool {
-        let shown = |output: &Output| Some(&self.outputs.get(output)?.probed.as_ref()?.0);
+        let shown = |output: &Output| self.outputs.get(output)?.last();
         let (Some(a), Some(b)) = (shown(&pair.output), shown(&pair.other)) else { return false };
         let (tick, other) = (a.frame().tick, b.frame().tick);
         let seq = tick.seq;

@@ -25,6 +25,7 @@ use panoscope_host::loader::verify::Seal;
 use panoscope_host::loader::{self as loader, Live, Loader};
 use serde::{Deserialize, Serialize};
 
+use crate::first_previews::FirstPreviews;
 use crate::trace::Trace;
 use recording::RunRecorder;
 pub use recording::{FinishedRecording, folder as recordings_folder};
@@ -135,6 +136,7 @@ struct Shared {
     status: Mutex<Status>,
     changed: Condvar,
     engine: Mutex<Option<Arc<Engine>>>,
+    first_previews: FirstPreviews,
     loader: Mutex<Arc<Loader>>,
     /// Remembers the paths of ticks, if somebody asks for them.
     trace: Mutex<Option<Arc<Trace>>>,
@@ -159,6 +161,17 @@ impl Handle {
     /// The engine; `None` before the first start.
     pub fn engine(&self) -> Option<Arc<Engine>> {
         lock(&self.0.engine).clone()
+    }
+
+    /// The engine, and the generation of its graph.
+    pub fn running(&self) -> (Option<Arc<Engine>>, u64) {
+        let status = lock(&self.0.status);
+        (self.engine(), status.generation)
+    }
+
+    /// The previews of a run that begins.
+    pub fn first_previews(&self) -> &FirstPreviews {
+        &self.0.first_previews
     }
 
     /// The machine that runs the graph, if it is another one.
@@ -324,6 +337,7 @@ impl Shared {
             status: Mutex::default(),
             changed: Condvar::new(),
             engine: Mutex::default(),
+            first_previews: FirstPreviews::default(),
             loader: Mutex::new(Arc::new(Loader::search(&loader::search_path(plugin_paths)))),
             seal: Mutex::default(),
             trace: Mutex::default(),
@@ -436,7 +450,6 @@ impl Worker {
         self.shared.update(|s| s.phase = Phase::Starting);
         let result = self.open(text);
         let message = result.map(|live| {
-            *lock(&self.shared.engine) = Some(Arc::clone(live.engine()));
             self.live = Some(live);
             self.done = false;
             "started".to_owned()
@@ -469,8 +482,10 @@ impl Worker {
             .map_err(|d| RunProblem { mistake: first_mistake(&d), ..plain(d.render(false)) })?;
         ready.seal.clone_from(&lock(&self.shared.seal));
         let recorder = self.recorder.start(&ready).map_err(|error| plain(error.to_string()))?;
+        let (shared, generation) = (Arc::clone(&self.shared), lock(&self.shared.status).generation + 1);
         let options = Options {
             frames: self.shared.frames,
+            before_first_tick: Some(Box::new(move |engine| shared.first_previews.subscribe(engine, generation))),
             observer: recorder.map(|recorder| recorder as _),
             tracer: lock(&self.shared.trace).clone().map(|trace| trace as Arc<dyn Tracer>),
             // Windows start graphs without being asked: when they open, and after a crash.
@@ -498,9 +513,12 @@ impl Worker {
     }
 
     fn report(&self, result: Result<String, RunProblem>, text: &str) {
-        let tick = self.live.as_ref().map_or(0, |live| live.engine().ticks());
+        let engine = self.live.as_ref().map(|live| Arc::clone(live.engine()));
+        let tick = engine.as_ref().map_or(0, |engine| engine.ticks());
         self.shared.update(|s| match result {
             Ok(message) => {
+                // Both at a time: see [`Handle::running`].
+                *lock(&self.shared.engine) = engine;
                 s.running = text.into();
                 s.tick = tick;
                 s.problem = None;

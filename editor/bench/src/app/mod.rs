@@ -325,6 +325,11 @@ impl App {
         self.picture_of_now().is_some()
     }
 
+    /// The picture of an output as it was rendered last.
+    pub fn picture(&self, output: &Output) -> Option<&panoscope_editor_model::pixels::Pixels> {
+        self.shown.pixels(output)
+    }
+
     /// The panel of tick paths.
     pub fn trace_panel(&self) -> &TracePanel {
         &self.trace_panel

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use arc_swap::ArcSwap;
 use panoscope_abi as abi;
-use panoscope_graph::{Catalog, Graph, Mode, Param, Validator};
+use panoscope_graph::{Catalog, Graph, Mode, Node, Param, Validator};
 
 pub use self::options::{Options, Outcome, SetError, StartError};
 use crate::change_lock::ChangeLock;
@@ -115,7 +115,7 @@ impl Engine {
             vet: plugins.vet(),
             stopped: Mutex::default(),
         };
-        let Options { paced, frames, hang, process_allocations, .. } = options;
+        let Options { paced, frames, hang, process_allocations, before_first_tick, .. } = options;
         let shared = new_shared(plan, context, threads, (paced, frames), hang, process_allocations);
         // Nodes run parallel loops while they open.
         let pool_started = start_pool(&shared).map_err(|cause| StartError::Thread { cause });
@@ -142,6 +142,9 @@ impl Engine {
             _listening: listening,
         };
         ending::register(&engine.shared);
+        if let Some(call) = before_first_tick {
+            call(&engine);
+        }
         if let Err(cause) = engine.start_threads() {
             // Nodes without a thread never finish: close without waiting for them.
             engine.shared.fail_for_good(format!("no thread could be started: {cause}"));
@@ -278,6 +281,24 @@ impl Engine {
         let preview = runtime.subscribers.subscribe(port)?;
         runtime.read_output(port);
         Some(preview)
+    }
+
+    /// Whether the graph runs in batch mode.
+    pub fn is_batch(&self) -> bool {
+        self.shared.context.batch
+    }
+
+    /// Outputs that other nodes read, as node and output.
+    pub fn outputs_read(&self) -> Vec<(String, String)> {
+        let current = self.current.load();
+        let nodes = current.graph.nodes.iter().enumerate();
+        let read = |(index, node): (usize, &Node)| {
+            let bits = plan::outputs_read(&current.graph, index);
+            let names = current.outputs[index].iter().enumerate();
+            let read = names.filter(move |(port, _)| bits >> port & 1 == 1);
+            read.map(|(_, name)| (node.id.clone(), name.clone())).collect::<Vec<_>>()
+        };
+        nodes.flat_map(read).collect()
     }
 
     /// Call after previews of a node were dropped: stops making outputs without a reader. Does nothing while the graph

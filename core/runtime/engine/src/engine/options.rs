@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::Engine;
 use crate::decide::Decider;
 use crate::fault::FaultFn;
 use crate::log::LogFn;
@@ -23,6 +24,9 @@ fn default_hang() -> Duration {
 fn hang_ms(text: &str) -> Option<u64> {
     text.parse().ok().filter(|ms| *ms > 0)
 }
+
+/// See [`Options::before_first_tick`].
+pub type BeforeFirstTickFn = dyn FnOnce(&Engine) + Send;
 
 /// Options of a run.
 pub struct Options {
@@ -51,6 +55,8 @@ pub struct Options {
     pub tracer: Option<Arc<dyn Tracer>>,
     /// Makes the decisions that otherwise depend on time, for example to replay a run.
     pub decider: Option<Arc<dyn Decider>>,
+    /// Called when all nodes are open, before the first tick, for example to add previews that miss no packet.
+    pub before_first_tick: Option<Box<BeforeFirstTickFn>>,
     /// Listeners that receive all packets of a port.
     pub listen: Vec<Listener>,
     /// Nodes whose metrics a listener receives, each when the node reports it; one listener for a node.
@@ -88,6 +94,7 @@ impl Default for Options {
             observer: None,
             tracer: None,
             decider: None,
+            before_first_tick: None,
             listen: Vec::new(),
             numbers: Vec::new(),
             hang: default_hang(),
