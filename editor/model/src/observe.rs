@@ -329,6 +329,7 @@ impl Worker {
                 of_one_tick.extend(self.take_pair(a, b));
             }
         }
+        let goes_on = engine.as_ref().is_none_or(|engine| !engine.is_finished());
         // New at one time, so that nobody takes one of two that belong together.
         let mut rendered = Vec::new();
         for (output, request) in requests {
@@ -342,8 +343,8 @@ impl Worker {
                 (false, None) => (1, CONFIDENCE_TICKS),
             };
             view.keep(packets, maps);
-            let fed = of_one_tick.remove(&output).map(|fed| view.measured(fed)).or_else(|| view.take());
-            let render = view.render(fed, &request);
+            let fed = of_one_tick.remove(&output).map(|fed| view.measured(fed)).or_else(|| view.take(goes_on));
+            let render = view.render(fed, &request, goes_on);
             if let Some(probe) = asked.and_then(|asked| view.probe(&request, asked)) {
                 lock(&self.mailbox).probes.insert(output.clone(), probe);
                 changed = true;

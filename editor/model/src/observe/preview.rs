@@ -85,8 +85,8 @@ impl OutputPreview {
         Fed { confidence: confidence.or(fed.confidence), ..fed }
     }
 
-    /// The newest packet since the last call, with the confidence of its tick where that is wanted.
-    pub fn take(&mut self) -> Option<Fed> {
+    /// The newest packet since the last call, with the confidence of its tick where that is wanted. `goes_on`: whether more packets may come.
+    pub fn take(&mut self, goes_on: bool) -> Option<Fed> {
         let Some(confidence) = &mut self.confidence else { return self.feed.take() };
         if let Some([points, map]) = self.feed.take_pair(&confidence.feed) {
             return Some(Fed { confidence: Some(map.frame), ..points });
@@ -94,17 +94,22 @@ impl OutputPreview {
         // The confidence of the first points may have come before it was asked for, and a machine hears later that it is; later ones have none.
         let fed = self.feed.take()?;
         confidence.left_out += 1;
-        (confidence.left_out > if fed.elsewhere.is_some() { PAIR_TICKS } else { 1 }).then_some(fed)
+        let most = if fed.elsewhere.is_some() { PAIR_TICKS } else { 1 };
+        (confidence.left_out > most || !goes_on).then_some(fed)
     }
 
     /// Renders a new packet, or the last one if it is asked for in another way than it was rendered; `None` when there is nothing to render.
-    pub fn render(&mut self, fed: Option<Fed>, request: &PreviewRequest) -> Option<RenderedPacket> {
-        if fed.is_some() {
+    /// While more may come, a packet without the confidence that is asked for now is not rendered again.
+    pub fn render(&mut self, fed: Option<Fed>, request: &PreviewRequest, goes_on: bool) -> Option<RenderedPacket> {
+        let is_new = fed.is_some();
+        if is_new {
             (self.last, self.answered) = (fed, None);
-        } else if self.rendered.as_ref() == Some(request) {
-            return None;
         }
         let last = self.last.as_ref()?;
+        let lacks_confidence = request.confidence.is_some() && last.confidence.is_none();
+        if !is_new && (self.rendered.as_ref() == Some(request) || goes_on && lacks_confidence) {
+            return None;
+        }
         self.rendered = Some(request.clone());
         let (frame, bytes) = (last.frame.frame(), last.frame.bytes());
         let Some(viewpoint) = &request.viewpoint else {

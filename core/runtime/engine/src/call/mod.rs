@@ -195,10 +195,14 @@ impl NodeRuntime {
             }
         }
         let spent_ns = end_ns.saturating_sub(start_ns);
-        exec.time.count_one(spent_ns);
-        if spent_ns > exec.max_ns {
-            exec.max_ns = spent_ns;
-            exec.time.raise(spent_ns);
+        // The call in which a source says that it has ended made no frame.
+        let ends = status == abi::STATUS_END && exec.source;
+        if !ends {
+            exec.time.count_one(spent_ns);
+            if spent_ns > exec.max_ns {
+                exec.max_ns = spent_ns;
+                exec.time.raise(spent_ns);
+            }
         }
         if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {
             self.over_budget(context, tick, spent_ns, exec.budget_ns);
@@ -207,11 +211,7 @@ impl NodeRuntime {
             self.accept(exec, context, tick, refused, end_ns, ports.made)
         } else {
             ports.made.clear();
-            if status == abi::STATUS_END && exec.source {
-                CallOutcome::End
-            } else {
-                self.failed(exec, context, status, refused, tick, end_ns)
-            }
+            if ends { CallOutcome::End } else { self.failed(exec, context, status, refused, tick, end_ns) }
         };
         let made_bytes = context.tracer.as_ref().map_or(0, |_| bytes(ports.made.outputs.iter()));
         self.trace(context, tick, (start_ns, end_ns), outcome == CallOutcome::Ok, [read_bytes, made_bytes]);
