@@ -57,8 +57,7 @@ fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     let folder = Folder::new("sweep");
     let mut window = Window::run(&folder.write("g.toml", GRAPH));
     window.select("level");
-    window.harness.get_by_label("Sweep a parameter").click();
-    window.until_shown("Sweep measure");
+    window.click_until_shown("Sweep a parameter", "Sweep measure");
     input::fill(&mut window.harness, "Sweep measure", "level.levels.mean");
     window.harness.get_by_label("Start the sweep").click();
     window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
