@@ -24,7 +24,7 @@ from websockets.sync.client import connect
 import panoscope as ps
 
 COMMAND = os.environ["PANOSCOPE_BIN"]
-LIMIT = 30
+LIMIT = 300
 GRAPH = """
 name = "shown"
 mode = "live"
@@ -76,7 +76,7 @@ class Run:
         """Ends the run as Ctrl-C does; returns what it said."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        out, err = self.process.communicate(timeout=60)
+        out, err = self.process.communicate(timeout=LIMIT)
         return "".join(self.said) + err + out
 
     def close(self):
@@ -90,7 +90,7 @@ class Client:
     """Speaks Foxglove's protocol."""
 
     def __init__(self, url):
-        self.socket = connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None, proxy=None, legacy=True)
+        self.socket = connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None, proxy=None, legacy=True, open_timeout=LIMIT)
         self.channels, self.values, self.errors, self.data, self.answers = {}, {}, [], {}, {}
         self.next = 0
         self.info = json.loads(self.socket.recv(timeout=LIMIT))
@@ -318,11 +318,11 @@ class FoxgloveTest(unittest.TestCase):
         run = self.run_graph()
         for origin in ("https://evil.example", "null", "http://10.0.0.2:8080"):
             with self.assertRaises(InvalidStatus) as refused:
-                connect(run.url, subprotocols=["foxglove.sdk.v1"], origin=origin, proxy=None, legacy=True)
+                connect(run.url, subprotocols=["foxglove.sdk.v1"], origin=origin, proxy=None, legacy=True, open_timeout=LIMIT)
             self.assertEqual(refused.exception.response.status_code, 403)
             self.assertIn(b"may not connect", refused.exception.response.body)
         for origin in ("https://app.foxglove.dev", "http://localhost:8080"):
-            connect(run.url, subprotocols=["foxglove.sdk.v1"], origin=origin, proxy=None, legacy=True).close()
+            connect(run.url, subprotocols=["foxglove.sdk.v1"], origin=origin, proxy=None, legacy=True, open_timeout=LIMIT).close()
 
 
 if __name__ == "__main__":

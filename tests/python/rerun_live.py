@@ -18,7 +18,7 @@ import panoscope as ps
 from panoscope.rerun_live import show
 
 FRAMES = 4
-LIMIT = 60
+LIMIT = 300
 GRAPH = """
 mode = "live"
 plugins = ["phantom", "stereo", "flow"]

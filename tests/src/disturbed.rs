@@ -3,15 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use panoscope_engine::fault::Fault;
 use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_record::{Digests, RecordOptions, Recorder, head};
 
-use crate::ready;
-
-const MAX_RUN: Duration = Duration::from_secs(120);
+use crate::{await_end, ready};
 
 /// A finished run, with everything that happened.
 pub struct DisturbedRun {
@@ -39,8 +37,8 @@ impl DisturbedRun {
 /// Runs a graph text as if it were `graph.toml` in `folder`, on two threads; `disturb` is called every few milliseconds until it ends.
 ///
 /// # Panics
-/// The graph is invalid, does not start, or does not end within two minutes.
-pub fn run_disturbed(folder: &Path, text: &str, options: Options, mut disturb: impl FnMut(&Engine)) -> DisturbedRun {
+/// The graph is invalid, does not start, or stands still.
+pub fn run_disturbed(folder: &Path, text: &str, options: Options, disturb: impl FnMut(&Engine)) -> DisturbedRun {
     let path = folder.join("graph.toml");
     let ready = ready(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
     let record = RecordOptions { digests: true, ..RecordOptions::default() };
@@ -53,11 +51,7 @@ pub fn run_disturbed(folder: &Path, text: &str, options: Options, mut disturb: i
         Options { threads: 2, faults: Some(Box::new(hear)), observer: Some(Arc::clone(&recorder) as _), ..options };
     let live = ready.start(options).unwrap_or_else(|error| panic!("{error}"));
     let engine = live.engine();
-    let end = Instant::now() + MAX_RUN;
-    while !engine.wait(Some(Duration::from_millis(2))) {
-        assert!(Instant::now() < end, "the graph did not end: {:?}", engine.recent_log());
-        disturb(engine);
-    }
+    await_end(engine, disturb);
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();
     drop(live);

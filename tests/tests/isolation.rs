@@ -10,7 +10,7 @@ use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
 use panoscope_record::{Digests, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
-use panoscope_tests::{files, isolated_processes, load, panorama, ready, run, scratch, wait_until};
+use panoscope_tests::{await_end, files, isolated_processes, load, panorama, ready, run, scratch, wait_until};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -83,7 +83,7 @@ fn started(folder: &Path, text: &str, options: Options) -> (Engine, Arc<Mutex<Ve
 
 fn ran(folder: &Path, text: &str, options: Options) -> Ran {
     let (engine, faults) = started(folder, text, options);
-    assert!(engine.wait(Some(PATIENCE)), "the graph did not end: {:?}", engine.recent_log());
+    await_end(&engine, |_| {});
     let outcome = engine.close(Duration::from_secs(30));
     let report = engine.report();
     drop(engine);
@@ -363,7 +363,7 @@ fn a_run_with_a_crash_replays_to_the_byte() {
         ..ReplayOptions::default()
     };
     let replay = Replay::start(&recording, options).unwrap_or_else(|e| panic!("{e}"));
-    assert!(replay.engine().wait(Some(PATIENCE)), "the replay does not end");
+    await_end(replay.engine(), |_| {});
     replay.engine().close(PATIENCE);
     replay.verdict().unwrap_or_else(|e| panic!("{e}"));
     let again = replay.recorder().expect("it is recorded").finish().digests.expect("fingerprints");

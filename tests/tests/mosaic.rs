@@ -7,7 +7,7 @@ use std::time::Duration;
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
 use panoscope_host::loader::{self as loader, Loader};
-use panoscope_tests::{run, scratch};
+use panoscope_tests::{await_end, run, scratch};
 
 /// Columns of a table as `write_table` writes it.
 fn columns(path: &Path) -> HashMap<String, Vec<f64>> {
@@ -49,7 +49,7 @@ fn the_graph_that_ships_closes_its_loop() {
         ..Options::default()
     };
     let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
-    assert!(engine.wait(Some(Duration::from_secs(180))), "it does not end: {:?}", engine.recent_log());
+    await_end(&engine, |_| {});
     assert_eq!(engine.close(Duration::from_secs(60)), Outcome::Done, "{:?}", engine.recent_log());
     for (id, node) in &engine.report().nodes {
         assert_eq!((node.faults, node.count > 0), (0, true), "`{id}`: {:?}", engine.recent_log());

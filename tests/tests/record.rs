@@ -11,7 +11,7 @@ use panoscope_graph::edit::GraphEdit;
 use panoscope_host::loader::Live;
 use panoscope_record::compare::compare;
 use panoscope_record::{Digests, Event, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
-use panoscope_tests::{ready, root, scratch};
+use panoscope_tests::{await_end, ready, root, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(600);
 const CHANGES: u64 = 50;
@@ -111,7 +111,7 @@ fn play(recording: &Arc<Recording>, threads: usize) -> Digests {
     let replay = Replay::start(recording, options).unwrap_or_else(|e| panic!("{e}"));
     std::thread::scope(|scope| {
         let follows = scope.spawn(|| replay.follow());
-        assert!(replay.engine().wait(Some(PATIENCE)), "the replay does not end");
+        await_end(replay.engine(), |_| {});
         replay.engine().stop();
         follows.join().expect("no panic").unwrap_or_else(|e| panic!("{e}"));
     });

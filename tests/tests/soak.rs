@@ -104,8 +104,8 @@ fn relay_that_stops(listener: TcpListener, to: u16) {
     }
 }
 
-/// One second of a run.
-struct Second {
+/// State of a run at one time.
+struct Sample {
     resident_mb: f64,
     frames: u64,
     waiting_mb: f64,
@@ -113,13 +113,13 @@ struct Second {
     open_files: u32,
 }
 
-fn second(line: &str) -> Option<Second> {
+fn sample(line: &str) -> Option<Sample> {
     let mut cells = line.split(',').skip(1);
     let resident_mb = cells.next()?.parse().ok()?;
     let frames = cells.next()?.parse().ok()?;
     let waiting_mb = cells.next()?.parse().ok()?;
     let mut cells = cells.skip(2);
-    Some(Second {
+    Some(Sample {
         resident_mb,
         frames,
         waiting_mb,
@@ -129,8 +129,8 @@ fn second(line: &str) -> Option<Second> {
 }
 
 /// Minimum of some values: a temporary increase by an edit or a new process is not growth.
-fn least(seconds: &[Second], value: impl Fn(&Second) -> f64) -> f64 {
-    seconds.iter().map(value).fold(f64::INFINITY, f64::min)
+fn least(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> f64 {
+    samples.iter().map(value).fold(f64::INFINITY, f64::min)
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn hours_leave_memory_threads_files_and_queues_level() {
     let relay_port = listener.local_addr().expect("an address").port();
     std::thread::spawn(move || relay_that_stops(listener, port));
     let mut command = Command::new(program);
-    command.current_dir(&folder).args(["soak", "graph.toml", "--headless", "--unpaced", "--csv", "seconds.csv"]);
+    command.current_dir(&folder).args(["soak", "graph.toml", "--headless", "--unpaced", "--csv", "samples.csv"]);
     command.args(["--minutes", &minutes.to_string(), "--edit-every", "0.1", "--kill-every", "0.5"]);
     command.args(["--attachable", &format!("tcp/127.0.0.1:{port}"), "--attachable-name", "rack"]);
     panoscope_testing::own_settings(&mut command, &folder);
@@ -158,19 +158,20 @@ fn hours_leave_memory_threads_files_and_queues_level() {
     let log = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(!log.contains("panicked") && log.contains(", 0 refused; "), "{log}");
     assert!(log.contains("window"), "no window came: {log}");
+    assert!(!log.contains("threads grow") && !log.contains("open files grow"), "{log}");
 
-    let csv = std::fs::read_to_string(folder.join("seconds.csv")).expect("a file");
-    let seconds: Vec<Second> = csv.lines().skip(1).map(|line| second(line).expect("numbers")).collect();
-    let ticks = seconds.last().map_or(0, |last| last.frames);
+    let csv = std::fs::read_to_string(folder.join("samples.csv")).expect("a file");
+    let samples: Vec<Sample> = csv.lines().skip(1).map(|line| sample(line).expect("numbers")).collect();
+    let ticks = samples.last().map_or(0, |last| last.frames);
     println!("{ticks} ticks: {:.1} hours at 60 Hz", ticks as f64 / 60.0 / 3600.0);
     // Heaps and pools reach their size in the first third.
-    let (warm, rest) = seconds.split_at(seconds.len() / 3);
+    let (warm, rest) = samples.split_at(samples.len() / 3);
     let (first, last) = rest.split_at(rest.len() / 2);
     assert!(!warm.is_empty() && !first.is_empty(), "{csv}");
     // An edit of the phantom has two scenes in memory while it opens: on a busy machine all samples of a short run may be of such moments.
     let opening_mb = if last.len() < MIN_SAMPLES { SCENE_MB } else { 0.0 };
     for (what, value, tolerated) in [
-        ("resident MB", (|s: &Second| s.resident_mb) as fn(&Second) -> f64, 0.01 * warm[0].resident_mb + opening_mb),
+        ("resident MB", (|s: &Sample| s.resident_mb) as fn(&Sample) -> f64, 0.01 * warm[0].resident_mb + opening_mb),
         // A hundred frames that are on their way.
         ("MB of frames", |s| s.waiting_mb, 0.3),
         // Of a process that is starting. One that stays with each edit or kill would be dozens.

@@ -46,7 +46,8 @@ fn minutes(text: &str) -> Result<f64, NumberError> {
 
 /// Runs a graph, disturbs it and monitors its resources.
 pub fn run(arguments: &Arguments) -> Result<End> {
-    let mut soak = Soak::default();
+    let seconds = arguments.minutes * 60.0;
+    let mut soak = Soak::new(seconds);
     let settings = Disturbances { edit_every_s: arguments.edit_every, kill_every_s: arguments.kill_every };
     let mut disturber = None;
     let ran =
@@ -59,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
                 }
                 Disturber::new(settings, live.text(), &graph, &live.loader().catalog_of_graph(&graph))
             });
-            if soak.observe(live.engine()) >= arguments.minutes * 60.0 {
+            if soak.observe(live.engine()) >= seconds {
                 // From here on a change would be refused.
                 live.engine().stop();
             } else if let Some(reason) = disturber.disturb(live) {

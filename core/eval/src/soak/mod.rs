@@ -36,10 +36,14 @@ pub struct Sample {
     pub processes: u64,
 }
 
-/// Samples of a run, one per second.
-#[derive(Clone, Debug, Default)]
+/// Number of samples of a run that is long enough.
+const RUN_SAMPLES: f64 = 300.0;
+
+/// Samples of a run at regular times.
+#[derive(Clone, Debug)]
 pub struct Soak {
     samples: Vec<Sample>,
+    period_s: f64,
     began: Option<Instant>,
 }
 
@@ -48,7 +52,7 @@ pub struct Soak {
 pub struct Growth {
     /// End of the warm-up, seconds since the first sample.
     pub from_seconds: f64,
-    /// Slope of the straight line through the samples.
+    /// Slope of the straight line through the means of each second.
     pub mb_per_hour: f64,
     /// Standard error of the slope.
     pub error_mb_per_hour: f64,
@@ -82,10 +86,15 @@ impl Change {
 }
 
 impl Soak {
-    /// Takes a sample if the last one is at least a second old. Returns the seconds since the first sample.
+    /// Of a run of `seconds`: 10 samples per second if it is short, at least one per second.
+    pub fn new(seconds: f64) -> Self {
+        Self { samples: Vec::new(), period_s: (seconds / RUN_SAMPLES).clamp(0.1, 1.0), began: None }
+    }
+
+    /// Takes a sample if it is due. Returns the seconds since the first sample.
     pub fn observe(&mut self, engine: &Engine) -> f64 {
         let since = *self.began.get_or_insert_with(Instant::now);
-        if since.elapsed().as_secs_f64() >= self.samples.len() as f64 {
+        if since.elapsed().as_secs_f64() >= self.samples.len() as f64 * self.period_s {
             self.samples.push(sample(engine, since));
         }
         since.elapsed().as_secs_f64()
@@ -144,7 +153,7 @@ impl Soak {
     /// Growth of the memory after the warm-up.
     pub fn growth(&self) -> Growth {
         let settled = self.settled();
-        let (mb_per_hour, error_mb_per_hour) = slope(settled);
+        let (mb_per_hour, error_mb_per_hour) = slope(&memory_by_second(settled));
         let resident_mb = settled.last().map_or(0.0, |s| s.rss_mb);
         Growth {
             from_seconds: settled.first().map_or(0.0, |s| s.seconds),
@@ -172,18 +181,26 @@ fn sample(engine: &Engine, since: Instant) -> Sample {
     }
 }
 
-/// Growth in MB per hour and its standard error: a straight line through the samples by least squares.
-fn slope(samples: &[Sample]) -> (f64, f64) {
-    let n = samples.len() as f64;
+/// Mean time and mean memory of each second. Samples closer together depend on each other: the standard error of their
+/// slope would be too small.
+fn memory_by_second(samples: &[Sample]) -> Vec<(f64, f64)> {
+    let mean = |samples: &[Sample], of: fn(&Sample) -> f64| samples.iter().map(of).sum::<f64>() / samples.len() as f64;
+    let seconds = samples.chunk_by(|a, b| a.seconds as u64 == b.seconds as u64);
+    seconds.map(|second| (mean(second, |s| s.seconds), mean(second, |s| s.rss_mb))).collect()
+}
+
+/// Growth in MB per hour and its standard error: a straight line through the points by least squares.
+fn slope(points: &[(f64, f64)]) -> (f64, f64) {
+    let n = points.len() as f64;
     if n < 3.0 {
         return (0.0, f64::INFINITY);
     }
-    let mean_x = samples.iter().map(|s| s.seconds).sum::<f64>() / n;
-    let mean_y = samples.iter().map(|s| s.rss_mb).sum::<f64>() / n;
-    let sxx: f64 = samples.iter().map(|s| (s.seconds - mean_x).powi(2)).sum();
-    let sxy: f64 = samples.iter().map(|s| (s.seconds - mean_x) * (s.rss_mb - mean_y)).sum();
+    let mean_x = points.iter().map(|(x, _)| x).sum::<f64>() / n;
+    let mean_y = points.iter().map(|(_, y)| y).sum::<f64>() / n;
+    let sxx: f64 = points.iter().map(|(x, _)| (x - mean_x).powi(2)).sum();
+    let sxy: f64 = points.iter().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
     let slope = sxy / sxx.max(f64::MIN_POSITIVE);
-    let rest: f64 = samples.iter().map(|s| (s.rss_mb - mean_y - slope * (s.seconds - mean_x)).powi(2)).sum();
+    let rest: f64 = points.iter().map(|(x, y)| (y - mean_y - slope * (x - mean_x)).powi(2)).sum();
     (slope * 3600.0, (rest / (n - 2.0) / sxx.max(f64::MIN_POSITIVE)).sqrt() * 3600.0)
 }
 
@@ -210,12 +227,17 @@ mod tests {
     use super::*;
 
     fn soak(rss_mb: impl Fn(f64) -> f64) -> Soak {
+        soak_of(300.0, rss_mb)
+    }
+
+    fn soak_of(run_s: f64, rss_mb: impl Fn(f64) -> f64) -> Soak {
+        let soak = Soak::new(run_s);
         let sample = |k: u32| {
-            let seconds = f64::from(k);
+            let seconds = f64::from(k) * soak.period_s;
             let (rss_mb, open_files) = (rss_mb(seconds), 40 + k as usize / 50);
             Sample { seconds, rss_mb, threads: 9, open_files, ..Sample::default() }
         };
-        Soak { samples: (0..300).map(sample).collect(), began: None }
+        Soak { samples: (0..(run_s / soak.period_s).round() as u32).map(sample).collect(), ..soak }
     }
 
     #[test]
@@ -225,6 +247,15 @@ mod tests {
         let warm_up = soak(|seconds| 100.0 + seconds.min(60.0) + 0.1 * (seconds % 2.0)).growth();
         assert!(!warm_up.is_leak() && warm_up.mb_per_hour.abs() < 1.0, "{warm_up:?}");
         assert_eq!(warm_up.from_seconds, 100.0);
+    }
+
+    #[test]
+    fn short_runs_have_more_samples_and_a_heap_that_shrinks_again_is_no_leak() {
+        let samples = [3.0, 9.0, 60.0, 300.0, 3600.0].map(|run_s| soak_of(run_s, |_| 100.0).samples().len());
+        assert_eq!(samples, [30, 90, 300, 300, 3600]);
+        // A heap that grows for three seconds and shrinks: no sample of a second says more than another.
+        let saw = soak_of(9.0, |seconds| 100.0 + f64::from(seconds as u32 % 3)).growth();
+        assert!(!saw.is_leak() && saw.mb_per_hour > 800.0, "{saw:?}");
     }
 
     #[test]
