@@ -1,6 +1,7 @@
 //! A live stream as its clients see it: frames identified by number, clients that come, go and stall, several streams on one port, mistakes.
 
-use std::net::{TcpListener, UdpSocket};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -359,6 +360,64 @@ fn a_server_that_takes_recordings_is_found_again() {
         numbers.len() >= 10
     });
     assert!(grow(&numbers) && numbers[0] >= shown, "{shown}: {numbers:?}");
+}
+
+/// Answers the requests of a client that records, up to and including RECORD. Returns the first request.
+fn take_recording(client: &mut TcpStream) -> std::io::Result<String> {
+    client.set_read_timeout(Some(PATIENCE))?;
+    let mut requests = BufReader::new(client.try_clone()?);
+    let mut first = String::new();
+    loop {
+        let (mut line, mut answer, mut body_bytes) = (String::new(), "RTSP/1.0 200 OK\r\nSession: 1\r\n".to_owned(), 0);
+        requests.read_line(&mut line)?;
+        let is_last = line.starts_with("RECORD");
+        first = if first.is_empty() { line } else { first };
+        loop {
+            let mut field = String::new();
+            requests.read_line(&mut field)?;
+            match field.split_once(": ") {
+                Some(("Content-Length", bytes)) => body_bytes = bytes.trim().parse().expect("a length"),
+                Some(("CSeq" | "Transport", _)) => answer += &field,
+                Some(_) => {}
+                None => break,
+            }
+        }
+        requests.read_exact(&mut vec![0; body_bytes])?;
+        write!(client, "{answer}Public: OPTIONS, ANNOUNCE, SETUP, RECORD, TEARDOWN\r\n\r\n")?;
+        if is_last {
+            return Ok(first);
+        }
+    }
+}
+
+#[test]
+fn a_server_that_leaves_is_asked_from_the_start() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let (takes, taken) = std::sync::mpsc::channel();
+    let (leave, leaves) = std::sync::mpsc::channel::<()>();
+    let server = std::thread::spawn(move || {
+        [(); 2].map(|()| {
+            let mut client = listener.accept().unwrap().0;
+            let first = take_recording(&mut client);
+            takes.send(()).unwrap();
+            // The second time the sender is gone already.
+            let _ = leaves.recv();
+            first.unwrap()
+        })
+    });
+    let mut source = Source::new(&format!(r#"serve = false, push = "rtsp://127.0.0.1:{port}/taken""#));
+    source.show_until("the server takes the stream", |_| taken.try_recv().is_ok());
+    // It leaves while nothing is being sent.
+    let pause = Duration::from_millis(300);
+    std::thread::sleep(pause);
+    leave.send(()).unwrap();
+    std::thread::sleep(pause);
+    drop(leave);
+    source.show_until("the server is asked again", |_| server.is_finished());
+    for first in server.join().unwrap() {
+        assert!(first.starts_with("OPTIONS "), "{first}");
+    }
 }
 
 #[test]

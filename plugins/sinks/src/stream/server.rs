@@ -24,7 +24,6 @@ const CLEAN_UP_EVERY: Duration = Duration::from_secs(2);
 
 struct Server {
     bound: SocketAddr,
-    rtsp: RTSPServer,
     clients: Arc<Clients>,
     mounts: RTSPMountPoints,
     /// Node that serves each path.
@@ -48,6 +47,7 @@ impl Server {
         rtsp.set_service(&asked.port().to_string());
         let mounts = RTSPMountPoints::new();
         rtsp.set_mount_points(Some(&mounts));
+        let clients = Clients::of(&rtsp);
         if let Some(threads) = rtsp.thread_pool() {
             // One for each client: a client that waits for the first picture must not hold up others.
             threads.set_max_threads(-1);
@@ -81,8 +81,7 @@ impl Server {
             .map_err(|error| failed(error.to_string()))?;
         Ok(Self {
             bound: SocketAddr::new(asked.ip(), port),
-            clients: Clients::of(&rtsp),
-            rtsp,
+            clients,
             mounts,
             paths: Mutex::default(),
             context,
@@ -112,7 +111,6 @@ impl Drop for Server {
                 source.destroy();
             }
         }
-        self.clients.close(&self.rtsp);
         // From inside the loop, so that one that has not begun yet ends too.
         let main_loop = self.main_loop.clone();
         self.context.invoke(move || main_loop.quit());
@@ -120,6 +118,8 @@ impl Drop for Server {
             // A panic was printed when it happened.
             let _ = thread.join();
         }
+        // No client is being accepted any more.
+        self.clients.close();
     }
 }
 
@@ -190,7 +190,7 @@ impl Drop for Mount {
 
 #[cfg(test)]
 mod tests {
-    use std::io::{Read, Write};
+    use std::io::{ErrorKind, Read, Write};
     use std::net::{Ipv4Addr, TcpStream};
     use std::sync::mpsc::channel;
     use std::thread::{ThreadId, current};
@@ -200,25 +200,43 @@ mod tests {
 
     #[test]
     fn a_client_is_closed_by_its_own_thread() {
+        const PATIENCE: Duration = Duration::from_secs(20);
         gstreamer::init().unwrap();
         let fanout = Arc::new(Fanout::default());
         let payload = Payload::of(StreamCodec::Mjpg);
         let mount = Mount::new(Ipv4Addr::LOCALHOST.into(), 0, "/live", "out", payload, &fanout).unwrap();
-        let (asks, asked) = channel::<ThreadId>();
-        let (closes, closed) = channel::<ThreadId>();
-        mount.server.rtsp.connect_client_connected(move |_, client| {
-            let (asks, closes) = (asks.clone(), closes.clone());
-            client.connect_options_request(move |_, _| asks.send(current().id()).unwrap());
-            client.connect_closed(move |_| closes.send(current().id()).unwrap());
-        });
-        let mut client = TcpStream::connect(("127.0.0.1", mount.port())).unwrap();
-        client.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-        write!(client, "OPTIONS {} RTSP/1.0\r\nCSeq: 1\r\n\r\n", mount.url()).unwrap();
-        let own = asked.recv_timeout(Duration::from_secs(20)).unwrap();
+        let request = format!("OPTIONS {} RTSP/1.0\r\nCSeq: 1\r\n\r\n", mount.url());
+        let connect = || {
+            let client = TcpStream::connect(("127.0.0.1", mount.port())).unwrap();
+            client.set_read_timeout(Some(PATIENCE)).unwrap();
+            client
+        };
+        // Accepted before the other.
+        let mut silent = connect();
+        let mut client = connect();
+        let mut answer = [0; 4096];
+        let (served, context) = loop {
+            client.write_all(request.as_bytes()).unwrap();
+            let bytes = client.read(&mut answer).unwrap();
+            assert!(answer[..bytes].starts_with(b"RTSP/1.0 200"));
+            // The first request may have come before the server's thread went on.
+            if let Some((served, context)) = mount.server.clients.lock().iter().flatten().next() {
+                break (served.clone(), context.clone());
+            }
+        };
+        let (threads, thread) = channel::<ThreadId>();
+        let own = threads.clone();
+        context.invoke(move || own.send(current().id()).unwrap());
+        let own = thread.recv_timeout(PATIENCE).unwrap();
+        served.connect_closed(move |_| threads.send(current().id()).unwrap());
         drop(mount);
-        assert_eq!(closed.recv_timeout(Duration::from_secs(20)), Ok(own));
-        let mut answer = String::new();
-        client.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("RTSP/1.0 200"), "{answer}");
+        assert_eq!(thread.recv_timeout(PATIENCE), Ok(own));
+        client.read_to_end(&mut Vec::new()).unwrap();
+        // No thread but its own may close it, and that one waits for a request.
+        silent.set_nonblocking(true).unwrap();
+        assert_eq!(silent.read(&mut answer).map_err(|error| error.kind()), Err(ErrorKind::WouldBlock));
+        silent.set_nonblocking(false).unwrap();
+        silent.write_all(request.as_bytes()).unwrap();
+        silent.read_to_end(&mut Vec::new()).unwrap();
     }
 }
