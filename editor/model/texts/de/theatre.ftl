@@ -111,6 +111,7 @@ worker-lost = verloren: { $reason }
 worker-not-needed = nicht mehr gebraucht
 worker-never-began = ohne Lebenszeichen und daher beendet
 worker-silent = eine Sekunde lang ohne Antwort und daher beendet
+worker-silent-at-end = am Ende fünf Sekunden lang ohne Antwort und daher beendet
 worker-stuck = fünf Sekunden lang ohne Fortschritt und daher beendet
 worker-bad-picture = beendet, weil sie ein unsinniges Bild sendete
 worker-bad-message = beendet, weil sie eine unsinnige Nachricht sendete

@@ -111,6 +111,7 @@ worker-lost = is lost: { $reason }
 worker-not-needed = was not needed any more
 worker-never-began = did not begin to work and was ended
 worker-silent = did not answer for one second and was ended
+worker-silent-at-end = did not answer for five seconds at its end and was ended
 worker-stuck = was stuck for five seconds and was ended
 worker-bad-picture = sent a malformed picture and was ended
 worker-bad-message = sent a malformed message and was ended

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use panoscope_editor_model::arguments::Overlay;
 use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
 use panoscope_editor_model::picture::RenderedPacket;
-use panoscope_editor_model::texts::phrase;
+use panoscope_editor_model::texts::{Phrase, phrase};
 use panoscope_graph::{GraphOptions, ParamValue};
 
 use super::process::Process;
@@ -17,6 +17,8 @@ use crate::{Opened, Refusal, worker};
 
 /// Time without a sign of life after which a process is killed.
 const SILENT: Duration = Duration::from_millis(1000);
+/// The same at its end, when its last threads end one after the other and files are finished.
+const SILENT_AT_END: Duration = Duration::from_secs(5);
 /// Time without progress of a process that is otherwise alive.
 const STUCK: Duration = Duration::from_secs(5);
 /// How long a process may take to give its first sign of life.
@@ -203,12 +205,16 @@ impl State {
 
     /// Ends processes that do not answer. `passed` is the time since the last look.
     pub(super) fn watch_silence(&self, passed: Duration) {
+        self.end_silent(passed, SILENT, || phrase!("worker-silent"));
+    }
+
+    fn end_silent(&self, passed: Duration, most: Duration, why: fn() -> Phrase) {
         let active = self.active.iter().map(|process| (process, self.has_taken));
         for (process, has_run) in active.chain(self.spare.iter().map(|spare| (&spare.process, false))) {
             let (beat, round) = process.silence(passed);
             match beat {
                 None if round > BEGIN => process.kill(phrase!("worker-never-began")),
-                Some(beat) if beat > SILENT => process.kill(phrase!("worker-silent")),
+                Some(beat) if beat > most => process.kill(why()),
                 Some(_) if has_run && round > STUCK => process.kill(phrase!("worker-stuck")),
                 _ => {}
             }
@@ -236,7 +242,7 @@ impl State {
     pub(super) fn see_close(&mut self, since: Instant, passed: Duration) -> bool {
         self.spare = None;
         self.has_taken = false;
-        self.watch_silence(passed);
+        self.end_silent(passed, SILENT_AT_END, || phrase!("worker-silent-at-end"));
         let is_late = since.elapsed() > MAX_END;
         if self.active.as_ref().is_none_or(|active| is_late || active.end().is_some()) {
             self.active = None;

@@ -52,6 +52,14 @@ fn a_process_that_falls_silent_is_ended() {
 }
 
 #[test]
+fn a_process_may_end_slowly() {
+    let script = "#!/bin/sh\ncat \"$0.bytes\" >&0\nsleep 2\ntouch \"$0.done\"\n";
+    let (mut guard, folder) = guard("slow_end", script, &bytes(&[Message::Beat { rounds: 1 }]));
+    guard.close();
+    assert!(folder.0.join("worker.done").exists(), "it was ended before its files were finished");
+}
+
+#[test]
 fn a_process_that_sends_nonsense_is_ended() {
     let said = refused("nonsense", ONCE, b"\x05\0\0\0{\"x\":");
     assert_eq!(said, "the process that runs the graph sent a malformed message and was ended");
