@@ -227,6 +227,21 @@ fn several_writers_make_one_chain() {
 }
 
 #[test]
+fn a_log_that_is_read_while_it_is_written_is_whole() {
+    for _ in 0..10 {
+        let folder = Folder::new("beside");
+        fs::create_dir_all(&folder.0).expect("a folder");
+        std::thread::scope(|scope| {
+            let writer = scope.spawn(|| written(&folder));
+            while !writer.is_finished() {
+                assert_eq!(messages(&folder.report()), [""; 0]);
+            }
+        });
+        assert_eq!(folder.report().entries.len(), events().len());
+    }
+}
+
+#[test]
 fn a_full_disk_is_named_and_events_wait_for_space() {
     let folder = Folder::new("full");
     fs::create_dir_all(&folder.0).expect("a folder");

@@ -168,6 +168,13 @@ impl Process {
         lock(&self.life.end).clone()
     }
 
+    /// Whether it has ended, also while the thread that finds out how has not run yet.
+    pub fn has_ended(&self) -> bool {
+        let mut ended = libc::pollfd { fd: self.life.pidfd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
+        // SAFETY: a plain system call with one entry, which does not wait.
+        unsafe { libc::poll(&raw mut ended, 1, 0) == 1 }
+    }
+
     /// Counts time without a sign of life: `passed` since the last call. Returns the time since the last sign, and since its observer last looked
     /// at the run; `None` before the first sign.
     pub fn silence(&self, passed: Duration) -> (Option<Duration>, Duration) {

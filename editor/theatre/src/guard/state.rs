@@ -212,6 +212,10 @@ impl State {
         let active = self.active.iter().map(|process| (process, self.has_taken));
         for (process, has_run) in active.chain(self.spare.iter().map(|spare| (&spare.process, false))) {
             let (beat, round) = process.silence(passed);
+            if process.has_ended() {
+                // Silence is not the reason of an end that came before it.
+                continue;
+            }
             match beat {
                 None if round > BEGIN => process.kill(phrase!("worker-never-began")),
                 Some(beat) if beat > most => process.kill(why()),

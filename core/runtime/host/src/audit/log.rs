@@ -136,6 +136,9 @@ impl Log {
             tail.bytes = len;
             return Ok(tail);
         }
+        if len == head.bytes {
+            return Ok(tail);
+        }
         // Lines whose head was not written any more, and what a crash left of the last one.
         let mut rest = Vec::new();
         let mut file = File::open(&path).map_err(in_file(&path))?;
@@ -174,6 +177,10 @@ impl Log {
             last != *b"\n"
         };
         let text = if is_cut { format!("\n{text}") } else { text };
+        if tail.end.number == 0 && before == 0 {
+            // A log has its head before its first line, so that a head that is missing was removed.
+            let _ = self.write_head(&Head { number: 0, hash: tail.end.hash.clone(), file: tail.file.clone(), bytes: 0 });
+        }
         if let Err(cause) = file.write_all(text.as_bytes()).and_then(|()| file.sync_data()) {
             // A part of the line must not stay. Where that fails too, the next line names it.
             let _ = file.set_len(before);

@@ -146,6 +146,8 @@ impl Checker {
 pub fn read(path: &Path) -> std::io::Result<Report> {
     // A log that was never written is an empty folder.
     let is_folder = path.is_dir() || !path.exists();
+    // Before the lines: a process that appends meanwhile writes each line before its head.
+    let head = Head::read(path);
     let files = if is_folder { files(path)? } else { vec![path.to_owned()] };
     let mut checker = Checker { report: Report::default(), end: is_folder.then(End::default), broken: None };
     for file in &files {
@@ -154,8 +156,8 @@ pub fn read(path: &Path) -> std::io::Result<Report> {
     if is_folder {
         let last = checker.end.clone().unwrap_or_default();
         let has_head = path.join(HEAD).exists();
-        match Head::read(path) {
-            None if last.number > 0 || has_head => {
+        match head {
+            None if (last.number > 0 || has_head) && Head::read(path).is_none() => {
                 checker.problem(&path.join(HEAD), 0, "it is missing or damaged, so a cut-off end cannot be noticed")
             }
             // A crash may have come between a line and its head.
