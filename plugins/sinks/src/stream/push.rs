@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use gstreamer::prelude::*;
 use gstreamer::{ClockTime, MessageType, MessageView, Pipeline, State};
-use gstreamer_app::{AppSink, AppSrc};
+use gstreamer_app::AppSrc;
 use panoscope_base::secret::{SecretError, redact, resolve};
 use panoscope_media::{MediaError, make};
 
@@ -232,20 +232,9 @@ fn send(
         }
     };
     fanout.remove(id);
-    stop_sending(&sink);
     // Stopping cannot fail in a way that anybody could repair.
     let _ = pipeline.set_state(State::Null);
     result
-}
-
-/// Stops what hands packets to the sending thread of an `rtspclientsink`, which frees its connection without regard to that thread.
-fn stop_sending(sink: &gstreamer::Element) {
-    let Some(sink) = sink.downcast_ref::<gstreamer::Bin>() else { return };
-    for inner in sink.iterate_recurse().into_iter().flatten().filter(|element| element.is::<AppSink>()) {
-        inner.set_locked_state(true);
-        // A failure could not be repaired.
-        let _ = inner.set_state(State::Null);
-    }
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 //! A probe at the output of every live source records, by the monotonic clock, when the data with each presentation
 //! time entered the pipeline. Queues, jitter and decoding come later, so they are part of an image's age. A source's
 //! own stamp (the driver's, or the one of RTP's jitter buffer) is more exact than the probe, and is used if it agrees
-//! with the probe. The stamps of a camera that counts `1 / rate` steps at a wrong rate soon disagree, and the probe's
-//! time is used.
+//! with the probe and arrival does not go back. The stamps of a camera that counts `1 / rate` steps at a wrong rate soon
+//! disagree, and the probe's time is used.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
@@ -26,7 +26,9 @@ impl Arrivals {
         if stamps.back().is_some_and(|(last, _)| *last == pts_ns) {
             return;
         }
-        let agrees = |stamp: &i64| (0..=MAX_LAG_NS).contains(&(now_ns - stamp));
+        // After a time of the probe, on a machine that was busy, stamps may still be of the time before it.
+        let latest_ns = stamps.back().map_or(i64::MIN, |(_, arrived_ns)| *arrived_ns);
+        let agrees = |stamp: &i64| (0..=MAX_LAG_NS).contains(&(now_ns - stamp)) && *stamp > latest_ns;
         if stamps.len() == KEPT {
             stamps.pop_front();
         }
@@ -61,6 +63,17 @@ mod tests {
         // A stamp of the future is none.
         arrivals.note(7, Some(9000 * MS), 8000 * MS);
         assert_eq!(arrivals.of(7), Some(8000 * MS));
+    }
+
+    #[test]
+    fn arrival_does_not_go_back_after_a_busy_moment() {
+        let arrivals = Arrivals::default();
+        // The probe of the second one came 75 ms late, and the others after it at once.
+        for (index, now_ms) in [(0, 1001), (1, 1108), (2, 1109), (3, 1110), (4, 1140)] {
+            arrivals.note(index * 33, Some((1000 + index as i64 * 33) * MS), now_ms * MS);
+        }
+        let arrived = [0, 33, 66, 99, 132].map(|pts| arrivals.of(pts).map(|arrived_ns| arrived_ns / MS));
+        assert_eq!(arrived, [1000, 1108, 1109, 1110, 1132].map(Some));
     }
 
     #[test]
