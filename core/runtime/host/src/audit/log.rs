@@ -179,7 +179,8 @@ impl Log {
         let text = if is_cut { format!("\n{text}") } else { text };
         if tail.end.number == 0 && before == 0 {
             // A log has its head before its first line, so that a head that is missing was removed.
-            let _ = self.write_head(&Head { number: 0, hash: tail.end.hash.clone(), file: tail.file.clone(), bytes: 0 });
+            let _ =
+                self.write_head(&Head { number: 0, hash: tail.end.hash.clone(), file: tail.file.clone(), bytes: 0 });
         }
         if let Err(cause) = file.write_all(text.as_bytes()).and_then(|()| file.sync_data()) {
             // A part of the line must not stay. Where that fails too, the next line names it.
