@@ -55,6 +55,7 @@ fn a_process_that_falls_silent_is_ended() {
 fn a_process_may_end_slowly() {
     let script = "#!/bin/sh\ncat \"$0.bytes\" >&0\nsleep 2\ntouch \"$0.done\"\n";
     let (mut guard, folder) = guard("slow_end", script, &bytes(&[Message::Beat { rounds: 1 }]));
+    guard.prepare("", &GraphOptions::default());
     let until = Instant::now() + Duration::from_secs(60);
     while guard.processes().0.is_none() {
         assert!(Instant::now() < until, "no process is started");
