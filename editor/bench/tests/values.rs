@@ -157,8 +157,7 @@ fn points_are_picked_by_click_drag_and_keys() {
     let folder = Folder::new("points");
     let mut window = Window::run(&folder.write("g.toml", GRAPH));
     window.select("level");
-    window.harness.get_by_label("Pick spots").click();
-    window.until_shown("Pick level.spots here");
+    window.click_until_shown("Pick spots", "Pick level.spots here");
     assert_eq!(window.app().viewed().map(ToString::to_string).as_deref(), Some("b.image"), "the picture that it reads");
     let rect = window.harness.get_by_label("Pick level.spots here").rect();
     let at = |x: f32, y: f32| rect.min + eframe::egui::vec2(x / 64.0 * rect.width(), y / 48.0 * rect.height());
@@ -199,8 +198,7 @@ fn rectangles_are_drawn_and_changed_by_their_handles() {
     let folder = Folder::new("rectangles");
     let mut window = Window::run(&folder.write("g.toml", GRAPH));
     window.select("level");
-    window.harness.get_by_label("Pick window").click();
-    window.until_shown("Pick level.window here");
+    window.click_until_shown("Pick window", "Pick level.window here");
     let rect = window.harness.get_by_label("Pick level.window here").rect();
     let at = |x: f32, y: f32| rect.min + eframe::egui::vec2(x / 64.0 * rect.width(), y / 48.0 * rect.height());
     let drag = |window: &mut Window, from: (f32, f32), to: (f32, f32)| {
