@@ -98,7 +98,11 @@ fn the_rust_template() {
         let mut command = Command::new(&cargo);
         command.args(arguments).current_dir(&folder).env("CARGO_TARGET_DIR", &target).env("RUSTFLAGS", "-Dwarnings");
         // Compiles once and runs one small test: a quarter of the time of the template's own profile.
-        command.envs([("CARGO_PROFILE_DEV_OPT_LEVEL", "0"), ("CARGO_PROFILE_DEV_DEBUG", "false"), ("CARGO_INCREMENTAL", "0")]);
+        command.envs([
+            ("CARGO_PROFILE_DEV_OPT_LEVEL", "0"),
+            ("CARGO_PROFILE_DEV_DEBUG", "false"),
+            ("CARGO_INCREMENTAL", "0"),
+        ]);
         succeeds(&mut command)
     };
     assert!(run(&["test"]).contains("colours_are_multiplied_and_stay_in_range ... ok"));
